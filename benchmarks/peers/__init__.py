@@ -1,0 +1,1 @@
+"""Peer programs of the benchmark: the same rolling problems, solved otherwise."""

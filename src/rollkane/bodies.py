@@ -1,0 +1,121 @@
+"""The rolling body: its mass, its inertia and its surface."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .checks import FieldError, positive, real, refuse
+from .small_linear import components, dot
+from .surfaces import AbstractSurface
+
+
+class Body(eqx.Module):
+    """A rigid body that rolls by its surface.
+
+    Attributes:
+        mass: [kg].
+        center_of_mass: From the body origin O, body axes [m], shape (3,).
+        inertia: About the CENTRE OF MASS, body axes, tensor entries (off-diagonal
+            entries are minus the products of inertia) [kg m^2], shape (3, 3).
+        surface: Outer surface, body axes.
+    """
+
+    mass: Float[Array, ""]
+    center_of_mass: Float[Array, "3"]
+    inertia: Float[Array, "3 3"]
+    surface: AbstractSurface
+
+    def __init__(
+        self, mass, inertia, surface: AbstractSurface, center_of_mass=(0.0, 0.0, 0.0)
+    ):
+        """Make a body.
+
+        Args:
+            mass: [kg], positive.
+            inertia: Tensor about the centre of mass, body axes [kg m^2], shape (3, 3);
+                symmetric, positive definite, no principal moment larger than the sum
+                of the others.
+            surface: Outer surface, body axes.
+            center_of_mass: From the body origin, body axes [m], shape (3,).
+
+        Raises:
+            FieldError: a value that no body can have.
+        """
+        self.mass = positive("Body.mass", mass, (), "the mass in kg")
+        self.center_of_mass = real(
+            "Body.center_of_mass", center_of_mass, (3,), "three lengths in metres"
+        )
+        self.inertia = _checked_inertia(inertia)
+        if not isinstance(surface, AbstractSurface):
+            raise FieldError(
+                "Body.surface",
+                surface,
+                "must be a surface",
+                "give one of the catalogue, for example Sphere(radius=0.1)",
+            )
+        self.surface = surface
+
+
+def _checked_inertia(inertia) -> Float[Array, "3 3"]:
+    field = "Body.inertia"
+    tensor = real(field, inertia, (3, 3), "the 3 x 3 tensor in kg m^2")
+    # rounding of the user's own arithmetic: 1e-9 of the largest entry is 1e7 ulp
+    slack = 1e-9 if tensor.dtype == jnp.float64 else 1e-4
+
+    def size(t):
+        return jnp.max(jnp.abs(t))
+
+    tensor = refuse(
+        tensor,
+        lambda t: jnp.max(jnp.abs(t - t.T)) > slack * size(t),
+        field,
+        "must be symmetric",
+        "write entry (i, j) equal to entry (j, i)",
+    )
+    tensor = refuse(
+        tensor,
+        lambda t: jnp.min(jnp.linalg.eigvalsh(0.5 * (t + t.T))) <= 0,
+        field,
+        "must be positive definite",
+        "check the signs: off-diagonal tensor entries are minus the products of "
+        "inertia",
+    )
+
+    def breaks_triangle(t):
+        moments = jnp.linalg.eigvalsh(0.5 * (t + t.T))
+        return moments[2] - moments[1] - moments[0] > slack * size(t)
+
+    return refuse(
+        tensor,
+        breaks_triangle,
+        field,
+        "violates the triangle inequality (one principal moment exceeds the sum of "
+        "the others), which no distribution of mass can",
+        "check the units, and that the tensor is about the centre of mass",
+    )
+
+
+def inertia_about(
+    mass: Array, arm: Float[Array, "3"], inertia: Float[Array, "3 3"]
+) -> list[list[Array]]:
+    """Lower triangle of a body's inertia about a point [kg m^2].
+
+    Args:
+        mass: [kg].
+        arm: Centre of mass from the point [m].
+        inertia: About the centre of mass [kg m^2].
+
+    Returns:
+        Rows of ``I + m (|c|^2 - c c^T)``, row i with i + 1 entries.
+
+    Source: theory, section 4.1 (Th0^M).
+    """
+    weighted = components(mass * arm)
+    along = components(arm)
+    square = dot(arm, mass * arm)
+    rows = []
+    for i, row in enumerate(components(inertia)):
+        entries = components(row)
+        rows.append([entries[j] - weighted[i] * along[j] for j in range(i)])
+        rows[i].append(entries[i] + (square - weighted[i] * along[i]))
+    return rows

@@ -1,0 +1,141 @@
+"""Bad input: one way to refuse it, naming the field, the value and the remedy.
+
+Known numbers are checked at once and refused with a :class:`FieldError`. Numbers that
+are still being traced by JAX get the same text through ``eqx.error_if``; inside a
+``vmap`` the lane is poisoned with NaN instead, so that it fails alone, by its result
+code, and the other lanes are right.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+
+class FieldError(ValueError):
+    """A field with a value that cannot be used.
+
+    Attributes:
+        field: Where it stands, for example ``Body.mass``.
+        value: What was given.
+        problem: What is wrong with it.
+        remedy: What to do.
+    """
+
+    def __init__(self, field: str, value: Any, problem: str, remedy: str):
+        self.field, self.value, self.problem, self.remedy = (
+            field,
+            value,
+            problem,
+            remedy,
+        )
+        super().__init__(f"{field}: {problem}, got {_shown(value)}; {remedy}")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, jax.core.Tracer):
+        return f"a traced {value.dtype}{list(value.shape)}"
+    if isinstance(value, (np.ndarray, jax.Array)):
+        value = np.asarray(value).tolist()
+    text = repr(value)
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def is_traced(*values: Any) -> bool:
+    """Whether any leaf is an abstract value of a JAX transformation."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values))
+
+
+def _is_batched(x: Array) -> bool:
+    # JAX offers no public name for the tracer of vmap
+    return type(x).__name__ == "BatchTracer"
+
+
+def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) -> Array:
+    """Convert to an array of floats of the given shape, or say why it cannot be.
+
+    Args:
+        field: Name used in the error.
+        value: Number, nested sequence or array; floating arrays keep their dtype.
+        shape: Wanted shape; None stands for any length of that axis.
+        meaning: What the field is, with its unit, for the remedy.
+    """
+    remedy = f"give {meaning}"
+    if isinstance(value, (str, bytes, bool)) or value is None:
+        raise FieldError(field, value, "must be made of numbers", remedy)
+    try:
+        array = jnp.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise FieldError(field, value, "must be made of numbers", remedy) from error
+    if jnp.issubdtype(array.dtype, jnp.bool_) or not (
+        jnp.issubdtype(array.dtype, jnp.floating)
+        or jnp.issubdtype(array.dtype, jnp.integer)
+    ):
+        raise FieldError(field, value, "must be made of real numbers", remedy)
+    matches = len(shape) == array.ndim and all(
+        wanted in (None, found)
+        for wanted, found in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = "(" + ", ".join("n" if n is None else str(n) for n in shape) + ")"
+        raise FieldError(
+            field, value, f"must have shape {wanted}, not {array.shape}", remedy
+        )
+    if not jnp.issubdtype(array.dtype, jnp.floating):
+        array = array.astype(jnp.result_type(float))
+    return refuse(array, lambda x: ~jnp.isfinite(x), field, "must be finite", remedy)
+
+
+def refuse(
+    array: Array,
+    bad: Callable[[Array], Array] | Array,
+    field: str,
+    problem: str,
+    remedy: str,
+) -> Array:
+    """Return ``array`` unless it is bad.
+
+    Args:
+        array: What is checked, and returned.
+        bad: Where it is bad, as a function of it or as a truth value.
+        field: Name used in the error.
+        problem: What is wrong with it.
+        remedy: What to do.
+
+    Raises:
+        FieldError: at once for known numbers; for traced ones the text is raised at
+            run time, except under ``vmap``, where the lane becomes NaN.
+    """
+    if callable(bad):
+        if is_traced(array):
+            bad = bad(array)
+        else:
+            with jax.ensure_compile_time_eval():
+                bad = bad(array)
+    if not is_traced(array, bad):
+        if bool(np.any(bad)):
+            raise FieldError(field, array, problem, remedy)
+        return array
+    bad = jnp.any(bad)
+    if _is_batched(array) or _is_batched(bad):
+        return jnp.where(bad, jnp.nan, array)
+    return eqx.error_if(array, bad, f"{field}: {problem}; {remedy}")
+
+
+def positive(field: str, value: Any, shape: tuple[int | None, ...], meaning: str):
+    """A finite number (or array of them) greater than zero."""
+    array = real(field, value, shape, meaning)
+    return refuse(
+        array, lambda x: ~(x > 0), field, "must be positive", f"give {meaning}"
+    )
+
+
+def flag(field: str, value: Any) -> bool:
+    """True or False, and nothing that merely looks like it."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise FieldError(field, value, "must be True or False", "write one of the two")
+    return bool(value)

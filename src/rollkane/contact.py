@@ -1,0 +1,172 @@
+"""Two surfaces that touch and roll: the pose as an output, and the contact's velocity.
+
+The pose follows from the contact, never the other way round, so the body cannot leave
+the surface. All vectors are on BODY axes unless said otherwise.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .geometry import LocalGeometry, from_normal, travel
+from .rotations import multiply, rotation_matrix, shortest_turn
+from .small_linear import (
+    components,
+    cross,
+    dot,
+    matmul,
+    matvec,
+    matvec_transposed,
+    solve_2x2,
+)
+from .surfaces import AbstractSurface
+
+
+class Contact(eqx.Module):
+    """The contact of a rolling body at one instant.
+
+    Attributes:
+        orientation: Quaternion, scalar first, body to fixed, of any length [1].
+        rotation: ``R_NB``, body to fixed axes [1], shape (3, 3).
+        normal: Unit normal out of the body [1], body axes, shape (3,).
+        body_point: Contact point from the body origin [m], body axes, shape (3,).
+        base_point: Contact point [m], base axes, shape (3,).
+        velocity: ``V``, of the contact point along either surface [m/s], body axes.
+        body_rates: Rates of the body's contact coordinates [1/s]; shape (0,) where
+            the body is given by its normal.
+        base_rates: Rates of the base's contact coordinates [1/s], shape (k,).
+
+    Source: theory, sections 6, 7 and 8.1, with s = -1 (both normals outwards).
+    """
+
+    orientation: Float[Array, "4"]
+    rotation: Float[Array, "3 3"]
+    normal: Float[Array, "3"]
+    body_point: Float[Array, "3"]
+    base_point: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+    body_rates: Float[Array, " m"]
+    base_rates: Float[Array, " k"]
+
+    @property
+    def position(self) -> Float[Array, "3"]:
+        """Body origin O [m], fixed axes (base axes; the base is at rest)."""
+        return self.base_point - matvec(self.rotation, self.body_point)
+
+
+def rolling_contact(
+    body: AbstractSurface,
+    base: AbstractSurface,
+    orientation: Float[Array, "4"],
+    angular_velocity: Float[Array, "3"],
+    on_base: Float[Array, " k"],
+    on_body: Float[Array, " m"],
+) -> Contact:
+    """Contact of a body that rolls without slipping.
+
+    The normals obey ``n_body = -n_base``, so with ``r = n_body x w`` the turns of both
+    add up, ``K_b x_b + K_c x_c = r`` (K = -W), and the travels agree,
+    ``L_b x_b = L_c x_c``: the system of theory 8.1 for U = 0. Only what cannot vanish
+    is divided by: the turn of a body given by its normal, the length of any other.
+
+    Args:
+        body: Surface of the body, body axes.
+        base: Surface of the base, base axes.
+        orientation: Quaternion, scalar first, body to fixed, any length [1].
+        angular_velocity: Relative to the base, BODY axes [rad/s].
+        on_base: Contact coordinates on the base.
+        on_body: Contact coordinates on the body; shape (0,) if given by its normal.
+    """
+    ground = base.geometry(on_base)
+    rotation = rotation_matrix(orientation)
+    normal = -matvec_transposed(rotation, ground.frame[:, 2])
+    point = body.normal_map(base.is_flat)
+    if point is None:
+        shell = body.geometry(on_body)
+        orientation, rotation = _aligned(orientation, rotation, shell, normal)
+        normal = shell.frame[:, 2]
+        turning = cross(normal, angular_velocity)
+        roll = _roll_on_plane if base.is_flat else _roll_on_base
+        velocity, x_body, x_base = roll(shell, ground, rotation, turning)
+        body_point = shell.position
+        body_rates = body.coordinate_rates(on_body, shell, x_body)
+    else:
+        turning = cross(normal, angular_velocity)
+        body_rates = on_body
+        if base.is_flat:
+            body_point, velocity = jax.jvp(point, (normal,), (turning,))
+            x_base = matvec(rotation[:2], velocity)
+        else:
+            pair = _tangents_in_body(ground, rotation)
+            shell = from_normal(point, normal, pair)
+            body_point = shell.position
+            velocity, x_base = _roll_by_normal(shell, ground, pair, turning)
+    return Contact(
+        orientation=orientation,
+        rotation=rotation,
+        normal=normal,
+        body_point=body_point,
+        base_point=ground.position,
+        velocity=velocity,
+        body_rates=body_rates,
+        base_rates=base.coordinate_rates(on_base, ground, x_base),
+    )
+
+
+def _aligned(orientation, rotation, shell: LocalGeometry, normal):
+    """Turn the body by the smallest rotation that brings its normal onto the base's.
+
+    Integration error would otherwise open a gap: an error of 2e-8 grew to 3e-5 in 1e5
+    steps without this, and stayed at 1e-17 with it. On the exact motion it does
+    nothing, so order and derivatives are untouched.
+    """
+    turn = shortest_turn(shell.frame[:, 2], normal)
+    return multiply(orientation, turn), matmul(rotation, rotation_matrix(turn))
+
+
+def _tangents_in_body(ground: LocalGeometry, rotation):
+    """The base's tangent pair on body axes."""
+    return tuple(matvec_transposed(rotation, ground.frame[:, m]) for m in range(2))
+
+
+def _on_pair(pair, vector) -> Float[Array, "2"]:
+    return jnp.stack([dot(pair[0], vector), dot(pair[1], vector)])
+
+
+def _from_pair(pair, steps) -> Float[Array, "3"]:
+    first, second = components(steps)
+    return first * pair[0] + second * pair[1]
+
+
+def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning):
+    """Body given by its normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r``."""
+    lengths_b = shell.lengths
+    system = ground.lengths - matmul(lengths_b, ground.frame_rates)
+    x_base = solve_2x2(system, matvec(lengths_b, _on_pair(pair, turning)))
+    return _from_pair(pair, matvec(ground.lengths, x_base)), x_base
+
+
+def _roll_on_plane(shell: LocalGeometry, ground: LocalGeometry, rotation, turning):
+    """Body that carries its point, on a plane: ``K_b x_b = r``."""
+    del ground
+    pair = shell.frame[:, 0], shell.frame[:, 1]
+    x_body = solve_2x2(-shell.frame_rates, _on_pair(pair, turning))
+    velocity = travel(shell, x_body)
+    return velocity, x_body, matvec(rotation[:2], velocity)
+
+
+def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning):
+    """Body that carries its point: ``(K_b L_b^-1 T L_c + T K_c) x_c = r``.
+
+    ``T[m, a] = e_m . t_a`` takes the base's tangent pair to the body's.
+    """
+    pair = shell.frame[:, 0], shell.frame[:, 1]
+    tangents = _tangents_in_body(ground, rotation)
+    mixing = jnp.stack([_on_pair(tangents, e) for e in pair])
+    steps = matmul(mixing, ground.lengths)
+    columns = [solve_2x2(shell.lengths, steps[:, a]) for a in range(2)]
+    own = jnp.stack(columns, axis=1)  # L_b^-1 T L_c
+    system = -matmul(shell.frame_rates, own) - matmul(mixing, ground.frame_rates)
+    x_base = solve_2x2(system, _on_pair(pair, turning))
+    return _from_pair(pair, matvec(steps, x_base)), matvec(own, x_base), x_base

@@ -1,0 +1,196 @@
+"""Put a body onto its base: find the contact on both surfaces, or say why there is none."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .checks import FieldError, is_traced, real, refuse
+from .coordinates import State
+from .geometry import LocalGeometry, from_normal
+from .rotations import rotation_matrix
+from .scene import Scene
+from .small_linear import dot, matvec_transposed, norm
+
+
+def place(
+    scene: Scene,
+    orientation: Any,
+    angular_velocity: Any,
+    contact_on_base: Any,
+    alpha: Any = (),
+    alpha_dot: Any = (),
+    *,
+    base_normal: Any = None,
+) -> State:
+    """The state in which a body touches its base at a given point.
+
+    Args:
+        scene: What rolls on what.
+        orientation: Unit quaternion, scalar first, body to fixed axes [1], shape (4,).
+        angular_velocity: FIXED axes [rad/s], shape (3,).
+        contact_on_base: Contact point, base axes [m], shape (3,); a point of the
+            base's surface.
+        alpha: Coordinates of what is supported, shape (n,).
+        alpha_dot: Their rates, shape (n,).
+        base_normal: Outward normal of the base at the contact [1], shape (3,). Needed
+            only where the base is a sharp edge, which has a fan of them.
+
+    Returns:
+        The state, in pole-free coordinates.
+
+    Raises:
+        FieldError: a quaternion that is not of unit length, a contact point off the
+            base, a body that cannot touch the base so, surfaces that fit each other.
+            Under ``vmap`` the lane becomes NaN instead and ``simulate`` marks it.
+
+    Source: theory, section 7, ``n_body = -R^T n_base``.
+    """
+    dtype = scene.body.mass.dtype
+    loose = _looseness(dtype)
+    orientation = _number(dtype, "orientation", orientation, 4, "a unit quaternion")
+    orientation = refuse(
+        orientation,
+        lambda q: jnp.abs(norm(q) - 1.0) > loose,
+        "place.orientation",
+        "must be a quaternion of unit length",
+        "divide it by its length; scalar first, body to fixed axes",
+    )
+    spin = _number(dtype, "angular_velocity", angular_velocity, 3, "rad/s, fixed axes")
+    point = _number(dtype, "contact_on_base", contact_on_base, 3, "metres, base axes")
+    edge_normal = (
+        None
+        if base_normal is None
+        else _number(dtype, "base_normal", base_normal, 3, "a direction, base axes")
+    )
+    numbers = [
+        _number(dtype, name, value, len(scene.supported), "one for each coordinate")
+        for name, value in (("alpha", alpha), ("alpha_dot", alpha_dot))
+    ]
+
+    fit = _fit(scene, orientation, point, edge_normal)
+    on_base = refuse(
+        fit.on_base,
+        ~(fit.gap <= loose * (1.0 + norm(jax.lax.stop_gradient(point)))),
+        "place.contact_on_base",
+        f"{_list(point)} is off the base's surface, whose nearest point is "
+        f"{_list(fit.nearest)}",
+        "give a point of the surface [m], in base axes",
+    )
+    orientation = refuse(
+        orientation / norm(orientation),
+        ~(fit.misfit <= loose),
+        "place.orientation",
+        "the body cannot touch the base so: no single point of its surface has the "
+        "normal that the contact needs",
+        "turn the body, or (for a surface by your own function) widen its domain",
+    )
+    on_base = refuse(
+        on_base,
+        ~(jnp.abs(fit.curving) > 100 * jnp.finfo(dtype).eps),
+        "place.contact_on_base",
+        "the surfaces fit each other here (relative curvature 0): they touch along a "
+        "line or an area, and the contact point is not determined",
+        "turn the body, move the contact, or change a radius",
+    )
+    on_base = refuse(
+        on_base,
+        ~(fit.opening > -1e4 * jnp.finfo(dtype).eps),
+        "place.contact_on_base",
+        "the body would cut into the base here, which bends towards the body more "
+        "sharply than the body itself",
+        "use a smaller body or a flatter base, or turn the inside of one round",
+    )
+    rotation = rotation_matrix(orientation)
+    return State(
+        orientation=orientation,
+        angular_velocity=matvec_transposed(rotation, spin),
+        contact_on_base=on_base,
+        contact_on_body=fit.on_body,
+        alpha=numbers[0],
+        alpha_dot=numbers[1],
+    )
+
+
+def _looseness(dtype) -> float:
+    """How far a user's rounded numbers may be off, relative [1]: half the digits."""
+    return 1e-6 if dtype == jnp.float64 else 1e-3
+
+
+def _number(dtype, name: str, value: Any, count: int, meaning: str) -> Array:
+    array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
+    return array.astype(dtype)
+
+
+def _list(value: Array) -> str:
+    return "the point" if is_traced(value) else str(np.asarray(value).tolist())
+
+
+class _Fit(eqx.Module):
+    """Where two surfaces touch, and whether they can."""
+
+    on_base: Array  # contact coordinates
+    on_body: Array
+    nearest: Array  # point of the base next to the asked one [m], base axes
+    gap: Array  # distance between the two [m]
+    misfit: Array  # angle between wanted and found normal of the body [rad]
+    opening: Array  # least relative opening; negative where the body cuts in [1]
+    curving: Array  # relative curvature [1]; zero where the surfaces fit each other
+
+
+@eqx.filter_jit
+def _fit(scene: Scene, orientation: Array, point: Array, edge_normal) -> _Fit:
+    base, body = scene.base.surface, scene.body.surface
+    if edge_normal is None:
+        on_base = base.locate(point)
+    else:
+        on_base = edge_normal / norm(edge_normal)
+    ground = base.geometry(on_base)
+    rotation = rotation_matrix(orientation)
+    normal = -matvec_transposed(rotation, ground.normal)
+    point_of_normal = body.normal_map(base.is_flat)
+    if point_of_normal is not None:
+        on_body = jnp.zeros(0, normal.dtype)
+        shell = from_normal(point_of_normal, normal)
+    else:
+        on_body = body.find_normal(normal)
+        shell = body.geometry(on_body)
+    misfit = norm(shell.normal - normal)
+    tangents = [matvec_transposed(rotation, ground.frame[:, a]) for a in range(2)]
+    mixing = jnp.stack(
+        [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
+    )
+    measures = jax.lax.stop_gradient((shell, ground, mixing))
+    opening, curving = _opening(*measures)
+    return _Fit(
+        on_base=on_base,
+        on_body=on_body,
+        nearest=ground.position,
+        gap=jax.lax.stop_gradient(norm(point - ground.position)),
+        misfit=jnp.where(jnp.all(jnp.isfinite(shell.position)), misfit, jnp.inf),
+        opening=opening,
+        curving=curving,
+    )
+
+
+def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
+    """How two touching surfaces part: least opening, and relative curvature.
+
+    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]`` (theory 8.1) are scaled to unit
+    length, so that edges and planes count alike; the determinant vanishes exactly
+    where the surfaces fit. The opening of a motion with equal travels
+    ``L_b x_b = T L_c x_c`` is ``(L_b x_b) . (K_b x_b + T K_c x_c)``.
+    """
+    K_b, L_b = -shell.frame_rates, shell.lengths
+    K_c, L_c = -mixing @ ground.frame_rates, mixing @ ground.lengths
+    body, base = jnp.concatenate([K_b, -L_b]), jnp.concatenate([K_c, L_c])
+    system = jnp.concatenate([body, base], axis=1)
+    system = system / jnp.linalg.norm(system, axis=0)
+    free = jnp.linalg.svd(jnp.concatenate([-L_b, L_c], axis=1))[2][2:].T
+    opening = (L_b @ free[:2]).T @ (K_b @ free[:2] + K_c @ free[2:])
+    largest = jnp.max(jnp.abs(opening))
+    least = jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0]
+    return least / jnp.where(largest > 0, largest, 1.0), jnp.linalg.det(system)

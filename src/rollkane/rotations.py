@@ -1,0 +1,99 @@
+"""Rotations by quaternions of any length, and tangent pairs of a direction.
+
+Quaternions are scalar first and map body components to fixed ones. Every formula is
+homogeneous (``s = 2/|q|^2``), so the length of a quaternion never matters and no
+normalisation is part of the motion.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .small_linear import components, cross, dot
+
+
+def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
+    """Rotation matrix of a quaternion of any non-zero length.
+
+    Args:
+        quaternion: Scalar first, body to fixed [1].
+
+    Returns:
+        ``R_NB`` with ``v_fixed = R_NB v_body`` [1].
+
+    Source: theory, section 1 (pose map), in the homogeneous form s = 2/|q|^2.
+    """
+    a, b, c, d = components(quaternion)
+    s = 2.0 / (a * a + b * b + c * c + d * d)
+    sb, sc, sd = s * b, s * c, s * d
+    return jnp.stack(
+        [
+            jnp.stack([1.0 - (sc * c + sd * d), sb * c - sd * a, sb * d + sc * a]),
+            jnp.stack([sb * c + sd * a, 1.0 - (sb * b + sd * d), sc * d - sb * a]),
+            jnp.stack([sb * d - sc * a, sc * d + sb * a, 1.0 - (sb * b + sc * c)]),
+        ]
+    )
+
+
+def multiply(p: Float[Array, "4 *B"], q: Float[Array, "4 *B"]) -> Float[Array, "4 *B"]:
+    """Quaternion product ``p q``: first the rotation ``q``, then ``p``."""
+    a, b, c, d = components(p)
+    e, f, g, h = components(q)
+    return jnp.stack(
+        [
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g - b * h + c * e + d * f,
+            a * h + b * g - c * f + d * e,
+        ]
+    )
+
+
+def quaternion_rates(
+    quaternion: Float[Array, "4 *B"], angular_velocity: Float[Array, "3 *B"]
+) -> Float[Array, "4 *B"]:
+    """Rates of a body-to-fixed quaternion, linear in the quaternion.
+
+    Args:
+        quaternion: Scalar first, body to fixed [1].
+        angular_velocity: On BODY axes [rad/s].
+
+    Source: theory, section 8a: quat' = 1/2 quat (x) (0, w).
+    """
+    a, b, c, d = components(quaternion)
+    x, y, z = components(0.5 * angular_velocity)
+    return jnp.stack(
+        [
+            -(b * x + c * y + d * z),
+            a * x + c * z - d * y,
+            a * y - b * z + d * x,
+            a * z + b * y - c * x,
+        ]
+    )
+
+
+def shortest_turn(
+    start: Float[Array, "3 *B"], end: Float[Array, "3 *B"]
+) -> Float[Array, "4 *B"]:
+    """Quaternion (not normalised) of the smallest rotation that takes ``start`` to ``end``.
+
+    Both are unit vectors; opposite ones have no smallest rotation (zero quaternion).
+    """
+    return jnp.concatenate([(1.0 + dot(start, end))[None], cross(start, end)])
+
+
+def tangent_pair(
+    normal: Float[Array, "3 *B"],
+) -> tuple[Float[Array, "3 *B"], Float[Array, "3 *B"]]:
+    """Two unit vectors that make a right-handed frame with a unit vector.
+
+    Free of trigonometry, square roots and singular directions; the pair jumps where
+    the third component changes sign, which is harmless where any pair will do.
+
+    Source: Duff et al., Building an orthonormal basis, revisited (2017).
+    """
+    x, y, z = components(normal)
+    sign = jnp.where(z < 0.0, -1.0, 1.0).astype(normal.dtype)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    first = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x])
+    return first, jnp.stack([b, sign + y * y * a, -y])

@@ -1,0 +1,127 @@
+"""A scene: which body rolls on which base, under which loads.
+
+What a scene does not name costs nothing: it is no part of the traced program.
+"""
+
+import equinox as eqx
+
+from .bodies import Body
+from .checks import FieldError
+from .loads import AbstractLoad, Gravity
+from .surfaces import AbstractSurface, Plane
+
+
+class Rolling(eqx.Module):
+    """Contact law: rolling without slipping, turning about the normal allowed.
+
+    Bilateral: a motion that pulls runs on, and the result says when that began.
+    """
+
+
+class Base(eqx.Module):
+    """What the body rolls on.
+
+    Attributes:
+        surface: Surface, base axes; they coincide with the fixed axes at rest.
+        motion: None, a base at rest.
+    """
+
+    surface: AbstractSurface
+    motion: None
+
+    def __init__(self, surface: AbstractSurface | None = None, motion: None = None):
+        """Make a base.
+
+        Args:
+            surface: Surface in base axes; ``Plane()`` when left out.
+            motion: None; moving bases are not part of this version.
+
+        Raises:
+            FieldError: no surface, or a motion.
+        """
+        surface = Plane() if surface is None else surface
+        if not isinstance(surface, AbstractSurface):
+            raise FieldError(
+                "Base.surface",
+                surface,
+                "must be a surface",
+                "give one of the catalogue, for example Plane()",
+            )
+        if motion is not None:
+            raise FieldError(
+                "Base.motion",
+                motion,
+                "cannot move in this version",
+                "leave it None: a base at rest",
+            )
+        self.surface = surface
+        self.motion = None
+
+
+class Scene(eqx.Module):
+    """A body on a base, with what it supports and what acts on it.
+
+    Attributes:
+        body: The rolling body.
+        base: What it rolls on.
+        supported: Masses and bodies that it carries; none in this version.
+        loads: Forces on it.
+        contact: The contact law.
+    """
+
+    body: Body
+    base: Base
+    supported: tuple
+    loads: tuple[AbstractLoad, ...]
+    contact: Rolling
+
+    def __init__(
+        self,
+        body: Body,
+        base: Base | None = None,
+        supported=(),
+        loads=None,
+        contact: Rolling | None = None,
+    ):
+        """Make a scene.
+
+        Args:
+            body: The rolling body.
+            base: What it rolls on; a horizontal plane at rest when left out.
+            supported: Empty; supported masses are not part of this version.
+            loads: Forces; ``(Gravity(),)`` when left out, ``()`` for none.
+            contact: The contact law; ``Rolling()`` when left out.
+
+        Raises:
+            FieldError: a part of another kind.
+        """
+        base = Base() if base is None else base
+        loads = (Gravity(),) if loads is None else loads
+        contact = Rolling() if contact is None else contact
+        _require("Scene.body", body, Body, "give a Body")
+        _require("Scene.base", base, Base, "give a Base, for example Base(Plane())")
+        _require("Scene.contact", contact, Rolling, "give Rolling()")
+        if isinstance(loads, AbstractLoad):
+            loads = (loads,)
+        _require("Scene.loads", loads, (tuple, list), "give a tuple of loads")
+        for i, load in enumerate(loads):
+            _require(f"Scene.loads[{i}]", load, AbstractLoad, "give Gravity() or ()")
+        if tuple(supported):
+            raise FieldError(
+                "Scene.supported",
+                supported,
+                "cannot be carried in this version",
+                "leave it empty",
+            )
+        self.body, self.base, self.contact = body, base, contact
+        self.loads, self.supported = tuple(loads), ()
+
+    @property
+    def carries_point(self) -> bool:
+        """Whether the state holds the contact point on the body."""
+        return self.body.surface.normal_map(self.base.surface.is_flat) is None
+
+
+def _require(field: str, value, kind, remedy: str) -> None:
+    if not isinstance(value, kind):
+        raise FieldError(field, value, f"cannot be a {type(value).__name__}", remedy)

@@ -1,0 +1,344 @@
+"""Integrate a scene in time: from a state to a trajectory."""
+
+import warnings
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .checks import FieldError, is_traced, real
+from .coordinates import State, pack, unpack
+from .differentiate import differentiable
+from .rolling import rolling_derivative
+from .scene import Scene
+from .steps import LandOn, ReplaySteps, first_step
+from .trajectory import Code, Trajectory
+
+_DERIVATIVES = {"rolling": rolling_derivative}
+_COORDINATES = ("pole-free",)
+
+# Reverse mode keeps this many states (about 0.3 kB each) before it recomputes parts.
+_CHECKPOINTS = 4096
+# Steps that a derivative can follow: the record takes 8 bytes a step.
+_RECORDED_STEPS = 2**16
+_UNRECORDED_STEPS = 2**30
+
+
+def simulate(
+    scene: Scene,
+    start: State,
+    times: Any,
+    *,
+    rtol: float | None = None,
+    atol: float | None = None,
+    formulation: str = "rolling",
+    coordinates: str = "pole-free",
+    solver: dfx.AbstractSolver | None = None,
+    stepsize_controller: dfx.AbstractStepSizeController | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    saveat: dfx.SaveAt | None = None,
+    dt0: float | None = None,
+    max_steps: int | None = None,
+    progress_meter: dfx.AbstractProgressMeter | None = None,
+) -> Trajectory:
+    """Motion of a scene from a start, at the asked times.
+
+    Differentiable in forward and in reverse mode with respect to every float of the
+    scene and the start, and with respect to the times; can be jitted and vmapped. A
+    run that cannot go on does not raise: the result's ``code`` says why it stopped,
+    and what was not reached is NaN.
+
+    Args:
+        scene: What rolls on what, under which loads.
+        start: State at ``times[0]``, from :func:`rollkane.place`.
+        times: Output times [s], shape (T,), T >= 2, strictly increasing (or
+            decreasing: the motion backwards). The integrator lands on every one.
+        rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
+        atol: Absolute tolerance of a step [unit of the state]; 0.01 rtol by default.
+        formulation: ``"rolling"``.
+        coordinates: ``"pole-free"``.
+        solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
+        stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
+        adjoint: diffrax adjoint; replaces the derivative along recorded steps.
+        saveat: diffrax ``SaveAt``; replaces ``times``, of which only the first and
+            last are then used.
+        dt0: First step [s]; chosen by the solver by default.
+        max_steps: Most steps taken; by default as many as needed, of which
+            derivatives can follow 65536 (and are NaN beyond, never quietly wrong).
+        progress_meter: diffrax progress meter.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        FieldError: times that are not increasing, tolerances out of range, unknown
+            names, a start that does not belong to the scene.
+    """
+    _check_names(formulation, coordinates)
+    dtype = jnp.result_type(start.orientation)
+    _warn_single_precision(dtype)
+    _check_start(scene, start)
+    times = _checked_times(times, dtype)
+    rtol, atol = _tolerances(rtol, atol, dtype)
+    if solver is None:
+        solver = _default_solver(rtol)
+    plan = _Plan(
+        formulation=formulation,
+        solver=solver,
+        controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=saveat,
+        max_steps=max_steps,
+        progress_meter=dfx.NoProgressMeter()
+        if progress_meter is None
+        else progress_meter,
+    )
+    numbers = [jnp.asarray(x, dtype) for x in (rtol, atol)]
+    dt0 = None if dt0 is None else jnp.asarray(dt0, dtype)
+    return _simulate(plan, scene, start, times, numbers, dt0)
+
+
+class _Plan(eqx.Module):
+    """How to integrate: everything that does not change from call to call."""
+
+    formulation: str = eqx.field(static=True)
+    solver: dfx.AbstractSolver
+    controller: dfx.AbstractStepSizeController | None
+    adjoint: dfx.AbstractAdjoint | None
+    saveat: dfx.SaveAt | None
+    max_steps: int | None = eqx.field(static=True)
+    progress_meter: dfx.AbstractProgressMeter
+
+
+@eqx.filter_jit
+def _simulate(plan: _Plan, scene, start, times, tolerances, dt0) -> Trajectory:
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+
+    def rates(t, y, scene):
+        derivative = _DERIVATIVES[plan.formulation]
+        return pack(derivative(scene, t, unpack(y, like)))
+
+    def solve(inputs, replay, adjoint):
+        return _solve(plan, rates, inputs, replay, adjoint)
+
+    y0 = _moved_in_time(rates, pack(start), times[0], scene, -1.0)
+    fixed_times = jax.lax.stop_gradient(times)
+    inputs = (scene, y0, fixed_times, *tolerances, dt0)
+    if plan.adjoint is None:
+        solution = differentiable(solve, inputs, _CHECKPOINTS)
+    else:
+        solution = solve(inputs, None, plan.adjoint)[0]
+    y = solution.y
+    if plan.saveat is None:
+        move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, scene, 1.0))
+        y = move(y, times)
+    return Trajectory(
+        time=times if plan.saveat is None else solution.time,
+        state=unpack(y, like),
+        scene=scene,
+        code=solution.code,
+        final_time=solution.final_time,
+        final_state=unpack(solution.final_y, like),
+        steps=solution.steps,
+        rejected_steps=solution.rejected_steps,
+    )
+
+
+class _Solution(eqx.Module):
+    time: Array
+    y: Array
+    final_time: Array
+    final_y: Array
+    code: Array
+    steps: Array
+    rejected_steps: Array
+
+
+def _solve(plan: _Plan, rates, inputs, replay, adjoint) -> tuple[_Solution, Array | None]:
+    """One diffrax solve: adaptive, or along the steps of ``replay``."""
+    scene, y0, times, rtol, atol, dt0 = inputs
+    t0, t1 = times[0], times[-1]
+    rates_0 = rates(t0, y0, scene)
+    if dt0 is None:
+        dt0 = first_step(y0, rates_0, t1 - t0, rtol, atol)
+    dt0 = jnp.where(t1 < t0, -dt0, dt0)
+    if replay is not None:
+        controller, dt0 = ReplaySteps(replay), None
+    elif plan.controller is not None:
+        controller = plan.controller
+    else:
+        resolution = 10 * jnp.finfo(times.dtype).eps
+        dtmin = resolution * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+        controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin)
+        if plan.saveat is None and times.shape[0] > 2:
+            controller = LandOn(controller, times[1:])
+    wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
+    subs = [wanted, dfx.SubSaveAt(t1=True)]
+    recording = replay is None and adjoint is not None and plan.adjoint is None
+    if recording:
+        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: None))
+    max_steps = plan.max_steps
+    if max_steps is None:
+        bounded = recording or replay is not None or plan.saveat is not None
+        max_steps = _RECORDED_STEPS if bounded else _UNRECORDED_STEPS
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(rates),
+        plan.solver,
+        t0,
+        t1,
+        dt0,
+        y0,
+        scene,
+        saveat=dfx.SaveAt(subs=subs),
+        stepsize_controller=controller,
+        adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
+        max_steps=max_steps,
+        throw=False,
+        progress_meter=plan.progress_meter,
+    )
+    time, final_time, *record = solution.ts
+    y, final_y, *_ = solution.ys
+    y = jnp.where(jnp.isfinite(y), y, jnp.nan)
+    outcome = _Solution(
+        time=time,
+        y=y,
+        final_time=final_time[-1],
+        final_y=final_y[-1],
+        code=_code(solution.result, jnp.all(jnp.isfinite(rates_0))),
+        steps=solution.stats["num_accepted_steps"],
+        rejected_steps=solution.stats["num_rejected_steps"],
+    )
+    return outcome, record[0] if recording else None
+
+
+def _code(result, usable) -> Array:
+    code = jnp.asarray(Code.STOPPED)
+    for known, meaning in (
+        (dfx.RESULTS.successful, Code.COMPLETED),
+        (dfx.RESULTS.max_steps_reached, Code.MAX_STEPS),
+        (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),
+    ):
+        code = jnp.where(result == known, meaning, code)
+    return jnp.where(usable, code, Code.BAD_START)
+
+
+@eqx.filter_custom_jvp
+def _moved_in_time(rates, y, t, scene, sign):
+    """``y``, with the derivative that a change of its time ``t`` brings.
+
+    Output times are not part of the replayed solve; a later output has moved on by
+    the rates (sign +1), a later start stands for an earlier state (sign -1).
+    """
+    del rates, t, scene, sign
+    return y
+
+
+@_moved_in_time.def_jvp
+def _moved_in_time_jvp(primals, tangents):
+    rates, y, t, scene, sign = primals
+    _, y_dot, t_dot, _, _ = tangents
+    y_dot = jnp.zeros_like(y) if y_dot is None else y_dot
+    if t_dot is not None:
+        y_dot = y_dot + sign * rates(t, y, scene) * t_dot
+    return y, y_dot
+
+
+def _check_names(formulation: str, coordinates: str) -> None:
+    for field, value, known in (
+        ("simulate.formulation", formulation, tuple(_DERIVATIVES)),
+        ("simulate.coordinates", coordinates, _COORDINATES),
+    ):
+        if value not in known:
+            raise FieldError(field, value, "is not known", f"use one of {known}")
+
+
+_warned = False
+
+
+def _warn_single_precision(dtype) -> None:
+    """Say once what single precision costs, where the program has not chosen it."""
+    global _warned
+    if dtype == jnp.float32 and not jax.config.jax_enable_x64 and not _warned:
+        _warned = True
+        warnings.warn(
+            "rollkane runs in single precision: about 6 digits, and tolerances below "
+            '1e-6 cannot be met. jax.config.update("jax_enable_x64", True) at the '
+            "start of the program gives double precision.",
+            stacklevel=3,
+        )
+
+
+def _check_start(scene: Scene, start: State) -> None:
+    if not isinstance(start, State):
+        raise FieldError(
+            "simulate.start", start, "must be a State", "make it with rollkane.place"
+        )
+    carried = scene.body.surface.coordinate_count if scene.carries_point else 0
+    for field, value, count in (
+        ("orientation", start.orientation, 4),
+        ("angular_velocity", start.angular_velocity, 3),
+        ("contact_on_base", start.contact_on_base, scene.base.surface.coordinate_count),
+        ("contact_on_body", start.contact_on_body, carried),
+        ("alpha", start.alpha, len(scene.supported)),
+        ("alpha_dot", start.alpha_dot, len(scene.supported)),
+    ):
+        if value.shape != (count,):
+            raise FieldError(
+                f"simulate.start.{field}",
+                value.shape,
+                f"must have shape ({count},) in this scene",
+                "place the body in this scene (a batch of starts needs jax.vmap)",
+            )
+
+
+def _checked_times(times: Any, dtype) -> Float[Array, " T"]:
+    times = real("simulate.times", times, (None,), "output times in seconds")
+    times = times.astype(dtype)
+    if times.shape[0] < 2:
+        raise FieldError(
+            "simulate.times", times, "must hold a start and an end", "give two or more"
+        )
+    if not is_traced(times):
+        steps = np.diff(np.asarray(times))
+        if not (np.all(steps > 0) or np.all(steps < 0)):
+            raise FieldError(
+                "simulate.times",
+                times,
+                "must be strictly increasing or strictly decreasing",
+                "sort them and leave out repeated ones",
+            )
+    return times
+
+
+def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+    double = dtype == jnp.float64
+    rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
+    atol = 0.01 * rtol if atol is None else atol
+    least = 10 * float(jnp.finfo(dtype).eps)
+    for field, value, floor in (("rtol", rtol, least), ("atol", atol, 0.0)):
+        if is_traced(value):
+            continue
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise FieldError(
+                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
+            )
+        if value < floor:
+            raise FieldError(
+                f"simulate.{field}",
+                value,
+                f"is below what {dtype} can hold",
+                f"give {floor:.1g} or more"
+                + ("" if double else ", or use double precision"),
+            )
+    return rtol, atol
+
+
+def _default_solver(rtol) -> dfx.AbstractSolver:
+    """Dopri8 where many digits are asked for, Tsit5 where few are."""
+    if is_traced(rtol) or rtol < 1e-6:
+        return dfx.Dopri8()
+    return dfx.Tsit5()

@@ -1,0 +1,102 @@
+"""Unrolled linear algebra for vectors of three and matrices up to about eight.
+
+The first axis holds the components, so that every function serves ``(3,)`` and
+``(3, B)`` alike. Library calls (LAPACK, einsum) stop XLA from fusing: a step of a
+rattleback cost nine times more with them, so nothing on the hot path uses them.
+"""
+
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+
+def components(a: Float[Array, "n *B"]) -> list[Float[Array, "*B"]]:
+    """Split an array along its first axis; traces faster than ``a[i]``."""
+    return [lax.index_in_dim(a, i, 0, keepdims=False) for i in range(a.shape[0])]
+
+
+def dot(a: Float[Array, "n *B"], b: Float[Array, "n *B"]) -> Float[Array, "*B"]:
+    """Scalar product over the first axis."""
+    total, *rest = components(a * b)
+    for term in rest:
+        total = total + term
+    return total
+
+
+def norm(a: Float[Array, "n *B"]) -> Float[Array, "*B"]:
+    """Euclidean length over the first axis; not differentiable at zero."""
+    return jnp.sqrt(dot(a, a))
+
+
+def cross(a: Float[Array, "3 *B"], b: Float[Array, "3 *B"]) -> Float[Array, "3 *B"]:
+    """Vector product in right-handed axes."""
+    a0, a1, a2 = components(a)
+    b0, b1, b2 = components(b)
+    return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
+
+
+def matvec(
+    matrix: Float[Array, "m n *B"], v: Float[Array, "n *B"]
+) -> Float[Array, "m *B"]:
+    """Matrix times vector."""
+    return jnp.stack([dot(row, v) for row in components(matrix)])
+
+
+def matvec_transposed(
+    matrix: Float[Array, "m n *B"], v: Float[Array, "m *B"]
+) -> Float[Array, "n *B"]:
+    """Transposed matrix times vector, as a sum of rows."""
+    rows = components(matrix)
+    total = rows[0] * v[0]
+    for row, x in zip(rows[1:], components(v)[1:], strict=True):
+        total = total + row * x
+    return total
+
+
+def matmul(
+    a: Float[Array, "l m *B"], b: Float[Array, "m n *B"]
+) -> Float[Array, "l n *B"]:
+    """Product of two small matrices."""
+    return jnp.stack([matvec_transposed(b, row) for row in components(a)])
+
+
+def solve_2x2(
+    matrix: Float[Array, "2 2 *B"], rhs: Float[Array, "2 *B"]
+) -> Float[Array, "2 *B"]:
+    """Solve a general 2x2 system by Cramer's rule."""
+    (a, b), (c, d) = (components(row) for row in components(matrix))
+    x, y = components(rhs)
+    scale = 1.0 / (a * d - b * c)
+    return jnp.stack([(d * x - b * y) * scale, (a * y - c * x) * scale])
+
+
+def solve_spd(
+    matrix: list[list[Float[Array, "*B"]]], rhs: Float[Array, "n *B"]
+) -> Float[Array, "n *B"]:
+    """Solve a symmetric positive definite system by an unrolled LDL^T.
+
+    Args:
+        matrix: Entries by row; only the lower triangle is read, so row ``i`` needs
+            ``i + 1`` entries.
+        rhs: Right-hand side.
+    """
+    n = len(matrix)
+    x = components(rhs)
+    lower: list[list] = [[None] * n for _ in range(n)]
+    pivot: list = [None] * n
+    for j in range(n):
+        # U = L D, kept so that every product is formed once
+        scaled = [lower[j][k] * pivot[k] for k in range(j)]
+        pivot[j] = matrix[j][j] - sum(lower[j][k] * scaled[k] for k in range(j))
+        inverse = 1.0 / pivot[j]
+        for i in range(j + 1, n):
+            reduced = matrix[i][j] - sum(lower[i][k] * scaled[k] for k in range(j))
+            lower[i][j] = reduced * inverse
+    for i in range(n):
+        for k in range(i):
+            x[i] = x[i] - lower[i][k] * x[k]
+    x = [x[i] / pivot[i] for i in range(n)]
+    for i in reversed(range(n)):
+        for k in range(i + 1, n):
+            x[i] = x[i] - lower[k][i] * x[k]
+    return jnp.stack(x)

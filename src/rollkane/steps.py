@@ -1,0 +1,102 @@
+"""Step controllers of our own: landing on output times, and replaying recorded steps."""
+
+import diffrax as dfx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class LandOn(dfx.AbstractStepSizeController):
+    """Adaptive steps that end exactly on every output time.
+
+    An output is then as accurate as the steps (diffrax's interpolants are of order 4
+    and 5, below what an 8th-order method is used for). A step that would end just
+    short of an output time is halved with the next one, and the step before a landing
+    is remembered, so that a landing costs about one step.
+
+    Attributes:
+        controller: Chooses the steps.
+        times: Output times after the first [s], in the direction of integration.
+    """
+
+    controller: dfx.PIDController
+    times: Float[Array, " n"]
+
+    def wrap(self, direction):
+        """The controller for the direction of time in which diffrax works."""
+        return LandOn(self.controller.wrap(direction), self.times * direction)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """First step, and the state: controller, next output, step wanted before."""
+        t_next, inner = self.controller.init(
+            terms, t0, t1, y0, dt0, args, func, error_order
+        )
+        wanted = t_next - t0
+        return self._towards(self.times[0], t0, wanted), (inner, 0, wanted)
+
+    def _towards(self, goal, t, dt):
+        left = goal - t
+        halved = jnp.where(dt > 0.5 * left, t + 0.5 * left, t + dt)
+        return jnp.where(dt >= 0.999 * left, goal, halved)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """Next step: the controller's, or the one wanted before the landing."""
+        inner, index, wanted = controller_state
+        keep, next_t0, next_t1, jump, inner, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
+        )
+        proposed = next_t1 - next_t0
+        shortened = (t1 - t0) < 0.999 * wanted
+        dt = jnp.where(keep & shortened, jnp.maximum(proposed, wanted), proposed)
+        landed = keep & (t1 >= self.times[index])
+        index = jnp.minimum(index + landed, self.times.shape[0] - 1)
+        t_end = self._towards(self.times[index], next_t0, dt)
+        return keep, next_t0, t_end, jump, (inner, index, dt), result
+
+
+class ReplaySteps(dfx.AbstractStepSizeController):
+    """Steps to recorded times, all accepted; like ``diffrax.StepTo``, but padded.
+
+    Attributes:
+        times: Recorded times [s], the start first, padded with infinity.
+    """
+
+    times: Float[Array, " n"]
+
+    def wrap(self, direction):
+        """The record for the direction of time in which diffrax works."""
+        return ReplaySteps(self.times * direction)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """First recorded step."""
+        del terms, t0, y0, dt0, args, func, error_order
+        return jnp.minimum(self.times[1], t1), 2
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """Next recorded step."""
+        del t0, y0, y1_candidate, args, y_error, error_order
+        following = self.times[controller_state]
+        return True, t1, following, False, controller_state + 1, dfx.RESULTS.successful
+
+
+def first_step(
+    y: Float[Array, " y"],
+    rates: Float[Array, " y"],
+    span: Float[Array, ""],
+    rtol: Float[Array, ""],
+    atol: Float[Array, ""],
+) -> Float[Array, ""]:
+    """A cautious first step [s], finite whatever the rates are.
+
+    Source: Hairer, Norsett and Wanner I, II.4, first guess (1 % of the scaled change);
+    the controller lengthens it tenfold a step, and no second evaluation is compiled.
+    """
+    scale = atol + rtol * jnp.abs(y)
+    size = jnp.sqrt(jnp.mean((y / scale) ** 2))
+    change = jnp.sqrt(jnp.mean((rates / scale) ** 2))
+    guess = 0.01 * size / change
+    known = jnp.isfinite(guess) & (guess > 0)
+    return jnp.minimum(jnp.where(known, guess, 1e-6), jnp.abs(span))

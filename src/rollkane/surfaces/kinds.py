@@ -1,0 +1,274 @@
+"""What every surface can do, and the two ways in which it can carry a contact point.
+
+A surface is *given by its normal* when the outward normal determines the point (sphere,
+ellipsoid, rim): then the normal itself is the coordinate and edges are ordinary. Every
+other surface *carries its point*: its coordinates live on a manifold without poles.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry import LocalGeometry, from_chart, from_normal
+from ..rotations import tangent_pair
+from ..small_linear import components, dot, norm, solve_2x2
+
+PointOfNormal = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+
+
+class AbstractSurface(eqx.Module):
+    """A surface fixed in its owner's axes, with an outward side.
+
+    Coordinates ``u`` are those of the contact state: without poles, of shape
+    (coordinate_count,). Rates ``x`` of shape (2,) are taken in local coordinates at a
+    point, those to which the ``L`` and ``W`` of its :class:`LocalGeometry` belong.
+    """
+
+    coordinate_count: eqx.AbstractClassVar[int]
+    is_flat: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
+        """Local geometry at coordinates ``u``; differentiates the surface once."""
+
+    @abc.abstractmethod
+    def coordinate_rates(
+        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, " k"]:
+        """Rates of ``u`` for local rates ``x`` [1/s]; linear in a direction's length."""
+
+    @abc.abstractmethod
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the surface point at, or near, a point [m]."""
+
+    @abc.abstractmethod
+    def samples(self) -> np.ndarray:
+        """Coordinates spread over the whole surface, shape (n, k): seeds of searches."""
+
+    @abc.abstractmethod
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Two-parameter chart, for drawing and for Voronets coordinates [m]."""
+
+    @property
+    @abc.abstractmethod
+    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of the chart's two parameters that cover the surface once."""
+
+    @abc.abstractmethod
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+
+    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
+        """The map from outward normal to point, where the normal determines it.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
+        return None
+
+
+class AbstractNormalSurface(AbstractSurface):
+    """A surface given by its normal; its coordinate is the outward normal itself."""
+
+    coordinate_count: ClassVar[int] = 3
+
+    @abc.abstractmethod
+    def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Point where the unit normal out of the material is ``normal`` [m]."""
+
+    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
+        """The map from outward normal to point."""
+        del against_plane
+        return self.point_with_normal
+
+    def geometry(self, u: Float[Array, "3"]) -> LocalGeometry:
+        """Local geometry where the outward normal is along ``u`` (any length)."""
+        return from_normal(self.point_with_normal, u / norm(u))
+
+    def coordinate_rates(
+        self, u: Float[Array, "3"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, "3"]:
+        """Rates of the normal, turning by ``x`` along e1 and e2."""
+        return direction_rates(u, geometry.frame[:, 0], geometry.frame[:, 1], x)
+
+    def samples(self) -> np.ndarray:
+        """Normals spread over the sphere of directions."""
+        return sphere_of_directions(400)
+
+    @property
+    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Longitude and latitude of the normal [rad]."""
+        return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Point whose outward normal has longitude q1 and latitude q2 [rad]."""
+        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
+        return self.point_with_normal(jnp.stack([c2 * c1, c2 * s1, s2]))
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Geometry in longitude and latitude of the normal; edges included.
+
+        Source: theory, section 8.1 (the chart of the rim, for any such surface).
+        """
+        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
+        zero = jnp.zeros_like(c1)
+        e1 = jnp.stack([-s1, c1, zero])
+        e2 = jnp.stack([-s2 * c1, -s2 * s1, c2])
+        normal = jnp.stack([c2 * c1, c2 * s1, s2])
+        turned = from_normal(self.point_with_normal, normal, (e1, e2))
+        turn = jnp.stack([c2, jnp.ones_like(c2)])  # turns per unit of q1 and q2
+        return LocalGeometry(
+            position=turned.position,
+            frame=turned.frame,
+            lengths=turned.lengths * turn[None, :],
+            frame_rates=turned.frame_rates * turn[None, :],
+            spin_rates=jnp.stack([s2, zero]),
+        )
+
+
+class AbstractPointSurface(AbstractSurface):
+    """A surface that carries its contact point, found by search where it must be."""
+
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
+        seeds = jnp.asarray(self.samples(), dtype=point.dtype)
+        fixed = jax.lax.stop_gradient(point)
+        places = jax.vmap(lambda u: self.geometry(u).position)(seeds)
+        gaps = jnp.sum((places - fixed) ** 2, axis=1)
+        seed = seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
+
+        def towards(target):
+            def gap(geometry):
+                offset = target - geometry.position
+                return _inverse(geometry.lengths) @ (geometry.frame[:, :2].T @ offset)
+
+            return gap
+
+        return self._refine(seed, towards(fixed), towards(point))
+
+    def find_normal(self, normal: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the point with the given outward normal.
+
+        Of several such points the one farthest out along the normal: the first that a
+        plane meets. Where there is none, a point with another normal comes back, which
+        the caller must check.
+        """
+        seeds = jnp.asarray(self.samples(), dtype=normal.dtype)
+        fixed = jax.lax.stop_gradient(normal)
+        found = jax.vmap(self.geometry)(seeds)
+        # a flat spot between samples may face elsewhere: height decides, then facing
+        height = found.position @ fixed
+        facing = found.frame[:, :, 2] @ fixed
+        spread = jnp.nanmax(height) - jnp.nanmin(height)
+        score = height + spread * jnp.minimum(facing - 0.5, 0.0)
+        best = jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))
+
+        def towards(target):
+            def gap(geometry):
+                offset = geometry.frame[:, :2].T @ target  # wanted turn of the normal
+                return _inverse(-geometry.frame_rates) @ offset
+
+            return gap
+
+        return self._refine(seeds[best], towards(fixed), towards(normal))
+
+    def _refine(self, seed, step_to_fixed, step_to_moving) -> Array:
+        """Newton steps from a seed; the last two carry the derivative."""
+        longest = self._search_step()
+
+        def advance(u, step):
+            geometry = self.geometry(u)
+            x = step(geometry)
+            x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
+            x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
+            return u + self.coordinate_rates(u, geometry, x)
+
+        u = jax.lax.fori_loop(0, 60, lambda _, u: advance(u, step_to_fixed), seed)
+        u = jax.lax.stop_gradient(u)
+        for _ in range(2):
+            u = advance(u, step_to_moving)
+        return u
+
+    def _search_step(self) -> Float[Array, ""]:
+        """Longest step of a search [m]: a tenth of the sampled extent."""
+        seeds = jnp.asarray(self.samples())
+        places = jax.vmap(lambda u: self.geometry(u).position)(seeds)
+        places = jax.lax.stop_gradient(places)
+        places = jnp.where(jnp.isfinite(places), places, 0.0)
+        return 0.1 * jnp.max(jnp.max(places, axis=0) - jnp.min(places, axis=0))
+
+
+class AbstractPairSurface(AbstractPointSurface):
+    """A surface whose contact coordinates are a pair, by one chart without poles."""
+
+    coordinate_count: ClassVar[int] = 2
+
+    @property
+    @abc.abstractmethod
+    def orientation(self) -> float:
+        """+1 where d1 x d2 of the chart points out of the material, else -1."""
+
+    def geometry(self, u: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, without spin rates."""
+        return from_chart(self.chart, u, self.orientation, spin=False)
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+        return from_chart(self.chart, q, self.orientation)
+
+    def coordinate_rates(
+        self, u: Float[Array, "2"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, "2"]:
+        """The chart rates themselves."""
+        del u, geometry
+        return x
+
+    def samples(self) -> np.ndarray:
+        """A grid over the chart's domain."""
+        grids = [np.linspace(low, high, 31) for low, high in self.chart_domain]
+        return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
+
+
+def direction_rates(
+    u: Float[Array, "3"], t1: Float[Array, "3"], t2: Float[Array, "3"], x: Array
+) -> Float[Array, "3"]:
+    """Rates of a direction of any length that turns by ``x`` along t1 and t2."""
+    x1, x2 = components(x)
+    return norm(u) * (x1 * t1 + x2 * t2)
+
+
+def direction_chart(
+    position: PointOfNormal, u: Float[Array, "3"], orientation: float
+) -> LocalGeometry:
+    """Local geometry of a function of a direction, in turns along its tangent pair."""
+    direction = u / norm(u)
+    t1, t2 = tangent_pair(direction)
+
+    def local(x):
+        turned = direction + x[0] * t1 + x[1] * t2
+        return position(turned / jnp.sqrt(dot(turned, turned)))
+
+    return from_chart(local, jnp.zeros(2, u.dtype), orientation, spin=False)
+
+
+def sphere_of_directions(count: int) -> np.ndarray:
+    """Directions spread evenly over the sphere (Fibonacci lattice), shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    angle = np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def _inverse(matrix: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
+    columns = jnp.eye(2, dtype=matrix.dtype)
+    return jnp.stack(
+        [solve_2x2(matrix, columns[0]), solve_2x2(matrix, columns[1])], axis=1
+    )

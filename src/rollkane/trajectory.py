@@ -1,0 +1,199 @@
+"""What came out: a trajectory, with everything else computed from it when asked."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .coordinates import State
+from .rolling import contact_force, contact_of, kinetic_energy
+from .rotations import rotation_matrix
+from .scene import Scene
+from .small_linear import dot, matvec, norm
+
+
+class Code:
+    """Why a run ended: values of ``Trajectory.code``."""
+
+    COMPLETED = 0
+    MAX_STEPS = 1
+    STEP_TOO_SMALL = 2
+    BAD_START = 3
+    STOPPED = 4
+
+
+_REASONS = {
+    Code.COMPLETED: "completed",
+    Code.MAX_STEPS: "the largest number of steps was reached: raise max_steps, or "
+    "loosen rtol",
+    Code.STEP_TOO_SMALL: "the step became too small for the clock: the motion reached "
+    "a singular place (a tip, an edge of a chart, surfaces that fit each other) or a "
+    "function of yours gave NaN there; look at final_time and final_state",
+    Code.BAD_START: "the start cannot be used: a number in it or in the scene, or its "
+    "first rates, are not finite",
+    Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
+}
+
+
+class Trajectory(eqx.Module):
+    """Motion of a scene at T times; under ``vmap`` every array has the batch in front.
+
+    Attributes:
+        time: [s], shape (T,).
+        state: States, every array with a leading T; NaN where not reached.
+        scene: The scene that moved.
+        code: Why the run ended, one of :class:`Code`; 0 is success.
+        final_time: Time that was reached [s].
+        final_state: State at that time.
+        steps: Accepted steps.
+        rejected_steps: Rejected steps.
+    """
+
+    time: Float[Array, " T"]
+    state: State
+    scene: Scene
+    code: Int[Array, ""]
+    final_time: Float[Array, ""]
+    final_state: State
+    steps: Int[Array, ""]
+    rejected_steps: Int[Array, ""]
+
+    def each(self, observable: Callable[[Scene, State], Array]) -> Array:
+        """An observable of one state, at every time of every lane.
+
+        Args:
+            observable: Function of the scene and one state.
+
+        Returns:
+            Its values, shape (T, ...), with the batch in front if there is one.
+        """
+        return _each(observable, self.scene, self.state)
+
+    @property
+    def succeeded(self) -> Array:
+        """Whether the run reached its last time, by lane."""
+        return self.code == Code.COMPLETED
+
+    @property
+    def reason(self) -> str:
+        """Why a single run ended, and what to do about it."""
+        return _REASONS[int(self.code)]
+
+    @property
+    def position(self) -> Float[Array, "T 3"]:
+        """Body origin O [m], fixed axes, shape (T, 3)."""
+        return self.each(_position)
+
+    @property
+    def orientation(self) -> Float[Array, "T 4"]:
+        """Unit quaternion, scalar first, body to fixed axes [1], shape (T, 4).
+
+        Continuous in sign.
+        """
+        return self.each(_orientation)
+
+    @property
+    def angular_velocity(self) -> Float[Array, "T 3"]:
+        """[rad/s], fixed axes, shape (T, 3)."""
+        return self.each(_angular_velocity)
+
+    @property
+    def contact_on_body(self) -> Float[Array, "T 3"]:
+        """Contact point from the body origin [m], body axes, shape (T, 3)."""
+        return self.each(_contact_on_body)
+
+    @property
+    def contact_on_base(self) -> Float[Array, "T 3"]:
+        """Contact point [m], base axes, shape (T, 3)."""
+        return self.each(_contact_on_base)
+
+    @property
+    def contact_force(self) -> Float[Array, "T 3"]:
+        """Force of the base on the body [N], fixed axes, shape (T, 3) (theory 5)."""
+        return self.each(contact_force)
+
+    @property
+    def normal_force(self) -> Float[Array, " T"]:
+        """Normal part of the contact force [N], shape (T,); > 0 while pressed together.
+
+        Source: theory, section 5, N = -Rc . e_out.
+        """
+        return self.each(normal_force)
+
+    @property
+    def friction_ratio(self) -> Float[Array, " T"]:
+        """Friction coefficient that rolling needs, |tangential| / N [1], shape (T,)."""
+        return self.each(_friction_ratio)
+
+    @property
+    def energy(self) -> Float[Array, " T"]:
+        """Kinetic plus potential energy [J], shape (T,)."""
+        return self.each(energy)
+
+    @property
+    def alpha(self) -> Float[Array, "T n"]:
+        """Coordinates of what is supported, shape (T, n)."""
+        return self.state.alpha
+
+    @property
+    def alpha_dot(self) -> Float[Array, "T n"]:
+        """Their rates [1/s], shape (T, n)."""
+        return self.state.alpha_dot
+
+
+def energy(scene: Scene, state: State) -> Float[Array, ""]:
+    """Kinetic plus potential energy of one state [J]."""
+    total = kinetic_energy(scene, state)
+    contact = contact_of(scene, state)
+    for load in scene.loads:
+        total = total + load.potential_energy(scene.body, contact)
+    return total
+
+
+def normal_force(scene: Scene, state: State) -> Float[Array, ""]:
+    """Normal force of one state [N]; negative where the contact would have to pull."""
+    return -dot(contact_force(scene, state), _outward(scene, state))
+
+
+def _outward(scene: Scene, state: State) -> Float[Array, "3"]:
+    contact = contact_of(scene, state)
+    return matvec(contact.rotation, contact.normal)
+
+
+def _friction_ratio(scene: Scene, state: State) -> Float[Array, ""]:
+    force, outward = contact_force(scene, state), _outward(scene, state)
+    press = -dot(force, outward)
+    return norm(force + press * outward) / press
+
+
+def _position(scene: Scene, state: State) -> Float[Array, "3"]:
+    return contact_of(scene, state).position
+
+
+def _orientation(scene: Scene, state: State) -> Float[Array, "4"]:
+    quaternion = contact_of(scene, state).orientation
+    return quaternion / norm(quaternion)
+
+
+def _angular_velocity(scene: Scene, state: State) -> Float[Array, "3"]:
+    rotation = contact_of(scene, state).rotation
+    return matvec(rotation, state.angular_velocity)
+
+
+def _contact_on_body(scene: Scene, state: State) -> Float[Array, "3"]:
+    return contact_of(scene, state).body_point
+
+
+def _contact_on_base(scene: Scene, state: State) -> Float[Array, "3"]:
+    return contact_of(scene, state).base_point
+
+
+@eqx.filter_jit
+def _each(observable: Any, scene: Scene, state: State) -> Array:
+    mapped = jax.vmap(observable, in_axes=(None, 0))
+    for _ in range(state.orientation.ndim - 2):
+        mapped = jax.vmap(mapped)
+    return mapped(scene, state)
