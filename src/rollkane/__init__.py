@@ -1,11 +1,80 @@
-"""Exact dynamics of a rigid body that rolls on a surface, in JAX."""
+"""Exact dynamics of a rigid body that rolls without slipping, in JAX.
 
-from .bodies import Body as Body
-from .loads import Gravity as Gravity
-from .scene import Base as Base, Rolling as Rolling, Scene as Scene
-from .rolling import rolling_derivative as rolling_derivative
-from .coordinates import State as State
-from .surfaces import (Cone as Cone, Cylinder as Cylinder, DiscEdge as DiscEdge, Ellipsoid as Ellipsoid, Graph as Graph, Implicit as Implicit, Parametric as Parametric, Plane as Plane, Revolution as Revolution, Sphere as Sphere, Torus as Torus)
-from .placement import place as place
-from .simulate import simulate as simulate
-from .trajectory import Trajectory as Trajectory
+Names are imported when first used, so that ``rollkane --help`` need not wait for JAX.
+Importing rollkane changes no global setting.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+__version__ = "0.1.0"
+
+_ROOMS = {
+    "bodies": ("Body",),
+    "checks": ("FieldError",),
+    "coordinates": ("State",),
+    "geometry": ("LocalGeometry",),
+    "loads": ("Gravity",),
+    "placement": ("place",),
+    "rolling": ("rolling_derivative",),
+    "scene": ("Base", "Rolling", "Scene"),
+    "simulation": ("simulate",),
+    "surfaces": (
+        "Cone",
+        "Cylinder",
+        "DiscEdge",
+        "Ellipsoid",
+        "Graph",
+        "Implicit",
+        "Parametric",
+        "Plane",
+        "Revolution",
+        "Sphere",
+        "Torus",
+    ),
+    "trajectory": ("Code", "Trajectory"),
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+
+__all__ = sorted(_ROOM_OF)
+
+if TYPE_CHECKING:
+    from .bodies import Body as Body
+    from .checks import FieldError as FieldError
+    from .coordinates import State as State
+    from .geometry import LocalGeometry as LocalGeometry
+    from .loads import Gravity as Gravity
+    from .placement import place as place
+    from .rolling import rolling_derivative as rolling_derivative
+    from .scene import Base as Base
+    from .scene import Rolling as Rolling
+    from .scene import Scene as Scene
+    from .simulation import simulate as simulate
+    from .surfaces import Cone as Cone
+    from .surfaces import Cylinder as Cylinder
+    from .surfaces import DiscEdge as DiscEdge
+    from .surfaces import Ellipsoid as Ellipsoid
+    from .surfaces import Graph as Graph
+    from .surfaces import Implicit as Implicit
+    from .surfaces import Parametric as Parametric
+    from .surfaces import Plane as Plane
+    from .surfaces import Revolution as Revolution
+    from .surfaces import Sphere as Sphere
+    from .surfaces import Torus as Torus
+    from .trajectory import Code as Code
+    from .trajectory import Trajectory as Trajectory
+
+
+def __getattr__(name: str):
+    """Import a public name from its room, once."""
+    room = _ROOM_OF.get(name)
+    if room is None:
+        raise AttributeError(f"module 'rollkane' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f".{room}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Public names, whether imported yet or not."""
+    return sorted(set(globals()) | set(_ROOM_OF))

@@ -34,7 +34,8 @@ def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
             are recomputed.
 
     Returns:
-        The outputs. Derivatives of integer outputs are zero.
+        The outputs. Derivatives of integer outputs are zero, and those of outputs
+        that are NaN (not reached) are NaN.
     """
     moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
     leaves, tree = jax.tree.flatten(moving)
@@ -50,47 +51,63 @@ def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
     def call_jvp(primals, tangents):
         outputs, record = run(primals, None, dfx.ForwardMode())
         dynamic, static = eqx.partition(outputs, eqx.is_inexact_array)
-        flat, shape = jax.tree.flatten(dynamic)
-        moves = [not isinstance(t, SymbolicZero) for t in tangents]
-        live = [t for t, m in zip(tangents, moves, strict=True) if m]
-        count = len(primals)
-
-        def replayed(residuals, adjoint):
-            values, record = residuals[:count], residuals[count]
-
-            def outputs_of(varied):
-                varied = iter(varied)
-                mixed = [
-                    next(varied) if m else v for v, m in zip(values, moves, strict=True)
-                ]
-                outputs = run(mixed, record, adjoint)[0]
-                return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
-
-            return outputs_of, [v for v, m in zip(values, moves, strict=True) if m]
-
-        def forward(residuals, live):
-            outputs_of, varied = replayed(residuals, dfx.ForwardMode())
-            return jax.jvp(outputs_of, (varied,), (list(live),))[1]
-
-        def backward(residuals, cotangents):
-            adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=checkpoints)
-            outputs_of, varied = replayed(residuals, adjoint)
-            return jax.vjp(outputs_of, varied)[1](list(cotangents))[0]
-
+        values, shape = jax.tree.flatten(dynamic)
+        moves = tuple(not isinstance(t, SymbolicZero) for t in tangents)
+        live = [t for t, moved in zip(tangents, moves, strict=True) if moved]
         if live:
-            residuals = [*map(jax.lax.stop_gradient, primals), record]
-            flat_dot = linear_call(forward, backward, residuals, live)
+            replay = _Replay(run, moves, checkpoints)
+            unreached = [jnp.isnan(value) for value in values]
+            residuals = [*primals, jax.lax.stop_gradient(record), *unreached]
+            values_dot = linear_call(replay.forward, replay.backward, residuals, live)
         else:
-            flat_dot = [jnp.zeros_like(x) for x in flat]
-        outputs_dot = jax.tree.unflatten(shape, flat_dot)
-        zeros = jax.tree.map(_zero_tangent, static)
-        return outputs, eqx.combine(outputs_dot, zeros)
+            values_dot = [jnp.zeros_like(x) for x in values]
+        outputs_dot = jax.tree.unflatten(shape, values_dot)
+        return outputs, eqx.combine(outputs_dot, jax.tree.map(_no_tangent, static))
 
     call.defjvp(call_jvp, symbolic_zeros=True)
     return call(*leaves)
 
 
-def _zero_tangent(x):
+class _Replay:
+    """Derivative of a solve along its recorded steps, and its transpose."""
+
+    def __init__(self, run: Callable, moves: tuple[bool, ...], checkpoints: int):
+        self.run, self.moves, self.checkpoints = run, moves, checkpoints
+
+    def _prepare(self, residuals, adjoint):
+        """Outputs as a function of the inputs that move, those inputs, NaN masks."""
+        count = len(self.moves)
+        inputs, record, *unreached = residuals[:count], *residuals[count:]
+
+        def outputs_of(varied):
+            varied = iter(varied)
+            mixed = [
+                next(varied) if moved else value
+                for value, moved in zip(inputs, self.moves, strict=True)
+            ]
+            outputs = self.run(mixed, record, adjoint)[0]
+            return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
+
+        varied = [v for v, moved in zip(inputs, self.moves, strict=True) if moved]
+        return outputs_of, varied, unreached
+
+    def forward(self, residuals, tangents) -> list[Array]:
+        outputs_of, varied, unreached = self._prepare(residuals, dfx.ForwardMode())
+        moved = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
+        return [jnp.where(u, jnp.nan, m) for u, m in zip(unreached, moved, strict=True)]
+
+    def backward(self, residuals, cotangents) -> list[Array]:
+        adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=self.checkpoints)
+        outputs_of, varied, unreached = self._prepare(residuals, adjoint)
+        # whoever asks for what was not reached gets NaN; who does not, loses nothing
+        cotangents = [
+            jnp.where(u & (c != 0), jnp.nan, c)
+            for u, c in zip(unreached, cotangents, strict=True)
+        ]
+        return jax.vjp(outputs_of, varied)[1](cotangents)[0]
+
+
+def _no_tangent(x):
     return np.zeros(jnp.shape(x), jax.dtypes.float0)
 
 

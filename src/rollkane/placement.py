@@ -188,7 +188,7 @@ def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
     K_c, L_c = -mixing @ ground.frame_rates, mixing @ ground.lengths
     body, base = jnp.concatenate([K_b, -L_b]), jnp.concatenate([K_c, L_c])
     system = jnp.concatenate([body, base], axis=1)
-    system = system / jnp.linalg.norm(system, axis=0)
+    system = system / jnp.linalg.norm(system, axis=0, keepdims=True)
     free = jnp.linalg.svd(jnp.concatenate([-L_b, L_c], axis=1))[2][2:].T
     opening = (L_b @ free[:2]).T @ (K_b @ free[:2] + K_c @ free[2:])
     largest = jnp.max(jnp.abs(opening))

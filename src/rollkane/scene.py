@@ -67,6 +67,8 @@ class Scene(eqx.Module):
         supported: Masses and bodies that it carries; none in this version.
         loads: Forces on it.
         contact: The contact law.
+        carries_point: Whether the state holds the contact point on the body; False
+            where it follows from the normal.
     """
 
     body: Body
@@ -74,6 +76,7 @@ class Scene(eqx.Module):
     supported: tuple
     loads: tuple[AbstractLoad, ...]
     contact: Rolling
+    carries_point: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -115,11 +118,7 @@ class Scene(eqx.Module):
             )
         self.body, self.base, self.contact = body, base, contact
         self.loads, self.supported = tuple(loads), ()
-
-    @property
-    def carries_point(self) -> bool:
-        """Whether the state holds the contact point on the body."""
-        return self.body.surface.normal_map(self.base.surface.is_flat) is None
+        self.carries_point = body.surface.normal_map(base.surface.is_flat) is None
 
 
 def _require(field: str, value, kind, remedy: str) -> None:

@@ -31,7 +31,7 @@ class LandOn(dfx.AbstractStepSizeController):
             terms, t0, t1, y0, dt0, args, func, error_order
         )
         wanted = t_next - t0
-        return self._towards(self.times[0], t0, wanted), (inner, 0, wanted)
+        return self._towards(self.times[0], t0, wanted), (inner, jnp.asarray(0), wanted)
 
     def _towards(self, goal, t, dt):
         left = goal - t
@@ -50,7 +50,8 @@ class LandOn(dfx.AbstractStepSizeController):
         shortened = (t1 - t0) < 0.999 * wanted
         dt = jnp.where(keep & shortened, jnp.maximum(proposed, wanted), proposed)
         landed = keep & (t1 >= self.times[index])
-        index = jnp.minimum(index + landed, self.times.shape[0] - 1)
+        last = self.times.shape[0] - 1
+        index = jnp.where(landed, jnp.minimum(index + 1, last), index)
         t_end = self._towards(self.times[index], next_t0, dt)
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .coordinates import State
-from .rolling import contact_force, contact_of, kinetic_energy
+from .rolling import contact_force, contact_of, kinetic_energy, rolling_derivative
 from .rotations import rotation_matrix
 from .scene import Scene
 from .small_linear import dot, matvec, norm
@@ -129,6 +129,17 @@ class Trajectory(eqx.Module):
         return self.each(_friction_ratio)
 
     @property
+    def first_pull(self) -> Float[Array, ""]:
+        """When the contact would first have to pull [s]; NaN where it never does.
+
+        The contact is bilateral and the motion runs on. The time is found between
+        outputs on the cubic through values and slopes of the normal force, so its
+        error falls with the fourth power of the distance of the outputs.
+        """
+        values, slopes = self.each(_pressing)
+        return _first_fall(self.time, values, slopes)
+
+    @property
     def energy(self) -> Float[Array, " T"]:
         """Kinetic plus potential energy [J], shape (T,)."""
         return self.each(energy)
@@ -156,6 +167,44 @@ def energy(scene: Scene, state: State) -> Float[Array, ""]:
 def normal_force(scene: Scene, state: State) -> Float[Array, ""]:
     """Normal force of one state [N]; negative where the contact would have to pull."""
     return -dot(contact_force(scene, state), _outward(scene, state))
+
+
+def _pressing(scene: Scene, state: State) -> tuple[Array, Array]:
+    """Normal force and its rate along the motion [N], [N/s]."""
+    rates = rolling_derivative(scene, jnp.zeros(()), state)
+    return jax.jvp(lambda s: normal_force(scene, s), (state,), (rates,))
+
+
+@eqx.filter_jit
+def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
+    """First time at which a sampled function with slopes is not positive; else NaN."""
+    if values.ndim > 1:
+        return jax.vmap(_first_fall)(time, values, slopes)
+    grid = jnp.linspace(0.0, 1.0, 17, dtype=time.dtype)
+
+    def cubic(i, x):
+        span = time[i + 1] - time[i]
+        v0, v1 = values[i], values[i + 1]
+        d0, d1 = slopes[i] * span, slopes[i + 1] * span
+        bend = (3.0 * (v1 - v0) - 2.0 * d0 - d1) + (d0 + d1 - 2.0 * (v1 - v0)) * x
+        return v0 + x * (d0 + x * bend)
+
+    intervals = jnp.arange(time.shape[0] - 1)
+    inside = jax.vmap(lambda i: jax.vmap(lambda x: cubic(i, x))(grid))(intervals)
+    fallen = (inside <= 0).reshape(-1)
+    first = jnp.argmax(fallen)
+    i, k = first // 17, first % 17
+    low, high = grid[jnp.maximum(k - 1, 0)], grid[k]
+
+    def halve(_, bounds):
+        low, high = bounds
+        mid = 0.5 * (low + high)
+        below = cubic(i, mid) <= 0
+        return jnp.where(below, low, mid), jnp.where(below, mid, high)
+
+    _, x = jax.lax.fori_loop(0, 60, halve, (low, high))
+    found = time[i] + x * (time[i + 1] - time[i])
+    return jnp.where(jnp.any(fallen), found, jnp.nan)
 
 
 def _outward(scene: Scene, state: State) -> Float[Array, "3"]:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .checks import FieldError
+from .checks import FieldError, is_traced
 
 
 class UserFunction(eqx.Module):
@@ -24,9 +24,9 @@ class UserFunction(eqx.Module):
         parameters: Any tree of numbers; passed last where it is not None.
     """
 
-    _fixed: Callable | None = eqx.field(static=True)
-    _carried: Any
+    _arrays: Any
     parameters: Any
+    _fixed: Any = eqx.field(static=True)
     _spread: bool = eqx.field(static=True)
     _takes_parameters: bool = eqx.field(static=True)
 
@@ -47,9 +47,6 @@ class UserFunction(eqx.Module):
             raise FieldError(
                 field, function, "must be a function", "give a function of JAX arrays"
             )
-        holds_arrays = any(eqx.is_array(x) for x in jax.tree.leaves(function))
-        self._fixed = None if holds_arrays else function
-        self._carried = function if holds_arrays else None
         self.parameters = jax.tree.map(_as_float, parameters)
         takes = int(parameters is not None)
         forms = [(count, takes), (1, takes)]
@@ -68,13 +65,45 @@ class UserFunction(eqx.Module):
                 f"let it take {count} coordinates (one by one, or one array of "
                 f"shape ({count},))" + (" and then the parameters" if takes else ""),
             )
+        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
+        closed = self._closed_over(count)
+        if closed is not None:
+            self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
+            self._spread, self._takes_parameters, self.parameters = False, False, None
+
+    def _closed_over(self, count: int) -> Callable | None:
+        """The function with the traced values that it closes over made explicit.
+
+        A closure such as ``lambda x, y: a * x**2`` with a traced ``a`` would hide
+        ``a`` from differentiation.
+        """
+        example = jnp.zeros(count)
+        try:
+            constants = jax.make_jaxpr(self)(example).consts
+        except Exception:
+            return None  # said by check_output, with the reason
+        if not is_traced(*constants):
+            return None
+        function = eqx.combine(self._arrays, self._fixed)
+        form = self._spread, self._takes_parameters, self.parameters
+        return eqx.filter_closure_convert(lambda u: _call(function, *form, u), example)
 
     def __call__(self, coordinates: Array) -> Array:
-        function = self._carried if self._fixed is None else self._fixed
-        arguments = list(coordinates) if self._spread else [coordinates]
-        if self._takes_parameters:
-            arguments.append(self.parameters)
-        return function(*arguments)
+        function = eqx.combine(self._arrays, self._fixed)
+        return _call(
+            function,
+            self._spread,
+            self._takes_parameters,
+            self.parameters,
+            coordinates,
+        )
+
+
+def _call(function, spread, takes_parameters, parameters, coordinates) -> Array:
+    arguments = list(coordinates) if spread else [coordinates]
+    if takes_parameters:
+        arguments.append(parameters)
+    return function(*arguments)
 
 
 def _as_float(x: Any) -> Any:

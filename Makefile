@@ -1,0 +1,52 @@
+# Each target sets up what it needs: a virtual environment in .venv, from python3.
+PYTHON ?= python3
+BIN := .venv/bin
+# the bench needs the XLA setting that the command line sets for itself (docs/speed.md)
+FAST_XLA := --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=16384
+
+.PHONY: demo test test-all lint format bench docs clean
+
+demo: .venv/.installed
+	@mkdir -p out
+	$(BIN)/rollkane simulate rattleback --out out/rattleback.nc --plot out/rattleback.png \
+		--path out/rattleback_path.png --view out/rattleback.html
+
+test: .venv/.installed
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-all: .venv/.installed
+	$(BIN)/python -m pytest -n 2
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: .venv/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: .venv/.installed
+	$(BIN)/python benchmarks/single.py --out benchmarks/results
+
+docs: .venv/.docs
+	$(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf .venv out site build dist
+
+.venv/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv .venv
+
+.venv/.installed: .venv/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	@touch $@
+
+.venv/.dev: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+.venv/.docs: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	@touch $@

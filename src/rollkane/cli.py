@@ -1,0 +1,250 @@
+"""The command line: ``rollkane simulate``, ``scenes``, ``check`` and ``schema``.
+
+Everything heavy is imported inside the commands, so that ``--help`` answers at once,
+and so that JAX is set up before it starts.
+"""
+
+import importlib.util
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import __version__
+
+_EXTRA_OPTIONS = "xla_backend_extra_options"
+_FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=16384"
+_BAD_INPUT, _STOPPED_EARLY = 2, 3
+# a run that took this long is not repeated to tell compiling from running [s]
+_SHORT = 3.0
+_NEEDS = {
+    "out": (("xarray", "h5netcdf", "h5py"), "results"),
+    "plot": (("matplotlib",), "plot"),
+    "path": (("matplotlib",), "plot"),
+    "view": ((), ""),
+}
+
+
+class _Positive(click.ParamType):
+    """A finite number greater than zero."""
+
+    name = "number"
+
+    def convert(self, value, param, ctx) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number.", param, ctx)
+        if not (math.isfinite(number) and number > 0):
+            self.fail(f"{value} is not a positive number.", param, ctx)
+        return number
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="rollkane")
+def main() -> None:
+    """Exact dynamics of a rigid body that rolls without slipping."""
+
+
+@main.command()
+@click.argument("scene")
+@click.option("--out", type=click.Path(), help="NetCDF file for the whole motion.")
+@click.option("--plot", type=click.Path(), help="PNG: spin, tilt, energy, force.")
+@click.option("--path", type=click.Path(), help="PNG: the path of the contact point.")
+@click.option("--view", type=click.Path(), help="HTML page that shows the motion.")
+@click.option("--rtol", type=_Positive(), help="Relative tolerance of a step.")
+@click.option("--atol", type=_Positive(), help="Absolute tolerance of a step.")
+@click.option("--duration", type=_Positive(), help="Time that the motion lasts [s].")
+@click.option("--outputs", type=click.IntRange(min=2), help="Number of output times.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@click.pass_context
+def simulate(
+    ctx: click.Context,
+    scene: str,
+    out: str | None,
+    plot: str | None,
+    path: str | None,
+    view: str | None,
+    rtol: float | None,
+    atol: float | None,
+    duration: float | None,
+    outputs: int | None,
+    quiet: bool,
+) -> None:
+    """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
+
+    Exit code 0: done; 2: bad input, nothing written; 3: the motion could not be
+    followed to its end, what was reached is written.
+    """
+    asked = {"out": out, "plot": plot, "path": path, "view": view}
+    targets = {name: Path(file) for name, file in asked.items() if file is not None}
+    _check_targets(targets, scene)
+    _start_jax()
+    file = _loaded(ctx, scene)
+
+    import numpy as np
+
+    times = file.times
+    if duration is not None or outputs is not None:
+        times = np.linspace(0.0, duration or times[-1], outputs or len(times))
+    result, timing = _run(
+        file.scene,
+        file.start,
+        times,
+        {"rtol": rtol or file.rtol, "atol": atol or file.atol},
+        quiet,
+    )
+    if not quiet:
+        from .summary import summary
+
+        click.echo(file.title)
+        for line in (*summary(result), timing):
+            click.echo(line)
+    for name, target in targets.items():
+        _write(name, result, target, file.title)
+        if not quiet:
+            click.echo(f"  wrote {target}")
+    if int(result.code):
+        click.echo(
+            f"error: stopped at t = {float(result.final_time):.6g} s of "
+            f"{float(times[-1]):.6g} s: {result.reason}",
+            err=True,
+        )
+        ctx.exit(_STOPPED_EARLY)
+
+
+@main.command()
+def scenes() -> None:
+    """List the built-in scenes."""
+    from .scene_files import builtin_scenes
+
+    lines = builtin_scenes()
+    width = max(map(len, lines))
+    for name, description in lines.items():
+        click.echo(f"{name:<{width}}  {description}")
+
+
+@main.command()
+@click.argument("scene")
+@click.pass_context
+def check(ctx: click.Context, scene: str) -> None:
+    """Check SCENE, a TOML file: every error at once, with line, value and remedy."""
+    _start_jax()
+    file = _loaded(ctx, scene)
+    click.echo(
+        f"{scene}: good ({file.title}; {len(file.times)} outputs over "
+        f"{file.times[-1]:g} s)"
+    )
+
+
+@main.command()
+def schema() -> None:
+    """Print the JSON schema of a scene file."""
+    from .scene_files import scene_schema
+
+    click.echo(json.dumps(scene_schema(), indent=2))
+
+
+def _start_jax() -> None:
+    """Double precision, and compiled loops; both must come before JAX's first use."""
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _EXTRA_OPTIONS not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} {_FAST_LOOPS}".strip()
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+
+
+def _loaded(ctx: click.Context, scene: str) -> Any:
+    from .scene_files import SceneFileError, load_scene
+
+    try:
+        return load_scene(scene)
+    except SceneFileError as error:
+        count = len(error.problems)
+        click.echo(str(error), err=True)
+        click.echo(f"{count} error{'s' if count > 1 else ''} in {scene}", err=True)
+        ctx.exit(_BAD_INPUT)
+
+
+def _run(scene: Any, start: Any, times: Any, tolerances: dict[str, Any], quiet: bool):
+    """The trajectory, and a line that tells compiling from running."""
+    import jax
+
+    from .checks import FieldError
+    from .simulation import simulate as integrate
+
+    def timed() -> tuple[Any, float]:
+        began = time.perf_counter()
+        result = integrate(scene, start, times, **tolerances)
+        jax.block_until_ready(result.state)
+        return result, time.perf_counter() - began
+
+    try:
+        result, first = timed()
+    except FieldError as error:
+        raise click.UsageError(str(error)) from error
+    if quiet or first > _SHORT:
+        return result, f"  {'time':<18}{first:.2f} s to compile and run"
+    _, again = timed()
+    compiling = max(first - again, 0.0)
+    return (
+        result,
+        f"  {'time':<18}{compiling:.2f} s to trace and compile, {again:.4f} s to run",
+    )
+
+
+def _check_targets(targets: dict[str, Path], scene: str) -> None:
+    """Refuse, before anything runs, what could not be written after it."""
+    taken = {Path(scene).resolve(): "SCENE"}
+    for name, target in targets.items():
+        option = f"--{name}"
+        folder = target.resolve().parent
+        if not folder.is_dir():
+            _refuse(option, f"the folder {folder} does not exist; make it first")
+        if target.is_dir():
+            _refuse(option, f"{target} is a folder; give the name of a file")
+        if not os.access(folder, os.W_OK):
+            _refuse(option, f"the folder {folder} cannot be written to")
+        if target.resolve() in taken:
+            other = taken[target.resolve()]
+            _refuse(option, f"{target} is the file of {other}; give another name")
+        taken[target.resolve()] = option
+        modules, extra = _NEEDS[name]
+        for module in modules:
+            if importlib.util.find_spec(module) is None:
+                _refuse(
+                    option,
+                    f"needs {module}, which is not installed: "
+                    f"pip install 'rollkane[{extra}]'",
+                )
+
+
+def _refuse(option: str, message: str) -> None:
+    raise click.BadParameter(message, param_hint=f"'{option}'")
+
+
+def _write(name: str, result: Any, target: Path, title: str) -> None:
+    try:
+        _writer(name)(result, target, title)
+    except OSError as error:
+        raise click.ClickException(f"cannot write {target}: {error}") from error
+
+
+def _writer(name: str) -> Callable[[Any, Path, str], None]:
+    if name == "out":
+        from .export import write_netcdf
+
+        return lambda result, target, title: write_netcdf(result, target)
+    if name == "view":
+        from .viewer import write_view
+
+        return write_view
+    from .plotting import plot_contact_path, plot_overview
+
+    return plot_overview if name == "plot" else plot_contact_path

@@ -1,0 +1,146 @@
+"""One motion as plain numbers: what pictures of it are drawn from.
+
+Everything is evaluated in one program and handed over as NumPy arrays in double
+precision, so that drawing never meets JAX's rules of shapes and dtypes.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .checks import FieldError
+from .coordinates import State
+from .rolling import contact_force, contact_of
+from .scene import Scene
+from .small_linear import cross, matvec, norm
+from .trajectory import Trajectory, energy
+
+_SIZES = {
+    "position": 3,
+    "orientation": 4,
+    "angular_velocity": 3,
+    "velocity": 3,
+    "contact_on_base": 3,
+    "contact_on_body": 3,
+    "outward": 3,
+    "body_outward": 3,
+    "contact_force": 3,
+    "energy": 1,
+}
+
+
+class History(NamedTuple):
+    """A motion at T times; rows that the run did not reach are NaN.
+
+    Attributes:
+        time: [s], shape (T,).
+        position: Body origin [m], fixed axes, shape (T, 3).
+        orientation: Unit quaternion, scalar first, body to fixed [1], shape (T, 4).
+        angular_velocity: [rad/s], fixed axes, shape (T, 3).
+        velocity: Of the body origin [m/s], fixed axes, shape (T, 3).
+        contact_on_base: [m], base axes, shape (T, 3).
+        contact_on_body: [m], body axes, shape (T, 3).
+        outward: Unit normal out of the base at the contact [1], fixed axes, (T, 3).
+        body_outward: Unit normal out of the body there [1], body axes, shape (T, 3).
+        contact_force: On the body [N], fixed axes, shape (T, 3).
+        energy: [J], shape (T,).
+        rounding: Spacing of the run's own numbers at 1 [1].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    angular_velocity: np.ndarray
+    velocity: np.ndarray
+    contact_on_base: np.ndarray
+    contact_on_body: np.ndarray
+    outward: np.ndarray
+    body_outward: np.ndarray
+    contact_force: np.ndarray
+    energy: np.ndarray
+    rounding: float
+
+    @property
+    def reached(self) -> np.ndarray:
+        """Which rows hold a state, shape (T,)."""
+        motion = np.concatenate([self.position, self.orientation], axis=1)
+        return np.isfinite(motion).all(axis=1) & np.isfinite(self.time)
+
+    @property
+    def spin(self) -> np.ndarray:
+        """Angular velocity along the base's outward normal [rad/s], shape (T,)."""
+        return np.sum(self.angular_velocity * self.outward, axis=1)
+
+    @property
+    def normal_force(self) -> np.ndarray:
+        """Contact force along the base's outward normal [N], shape (T,)."""
+        return np.sum(self.contact_force * self.outward, axis=1)
+
+    @property
+    def energy_error(self) -> np.ndarray:
+        """``|E - E0| / |E0|`` [1], shape (T,); of the largest |E| where E0 is 0."""
+        known = self.energy[np.isfinite(self.energy)]
+        if not known.size:
+            return np.full_like(self.energy, np.nan)
+        scale = abs(known[0]) or np.max(np.abs(known)) or 1.0
+        return np.abs(self.energy - known[0]) / scale
+
+    def rows(self, which: np.ndarray) -> "History":
+        """The same motion at some of its times only.
+
+        Args:
+            which: Row numbers, or one truth value per row.
+        """
+        return History(*(column[which] for column in self[:-1]), self.rounding)
+
+
+def history(trajectory: Trajectory) -> History:
+    """Evaluate a single trajectory for drawing.
+
+    Args:
+        trajectory: One run, not a batch.
+
+    Raises:
+        FieldError: a batch.
+    """
+    if trajectory.time.ndim != 1 or trajectory.state.orientation.ndim != 2:
+        raise FieldError(
+            "trajectory",
+            trajectory.state.orientation.shape[:-2],
+            "is a batch, and one picture shows one run",
+            "draw one lane: jax.tree.map(lambda x: x[i], trajectory)",
+        )
+    rows = np.asarray(trajectory.each(_row), dtype=float)
+    ends = np.cumsum(list(_SIZES.values()))[:-1]
+    columns = dict(zip(_SIZES, np.split(rows, ends, axis=1), strict=True))
+    columns["energy"] = columns["energy"][:, 0]
+    return History(
+        time=np.asarray(trajectory.time, dtype=float),
+        **columns,
+        rounding=float(jnp.finfo(trajectory.time.dtype).eps),
+    )
+
+
+def _row(scene: Scene, state: State) -> Float[Array, " n"]:
+    """All quantities of one state in the order of ``_SIZES``."""
+    contact = contact_of(scene, state)
+    rotation = contact.rotation
+    spin = matvec(rotation, state.angular_velocity)
+    arm = matvec(rotation, contact.body_point)
+    orientation = contact.orientation
+    return jnp.concatenate(
+        [
+            contact.position,
+            orientation / norm(orientation),
+            spin,
+            cross(arm, spin),  # no slip: the point at the contact stands still
+            contact.base_point,
+            contact.body_point,
+            -matvec(rotation, contact.normal),
+            contact.normal,
+            contact_force(scene, state),
+            energy(scene, state)[None],
+        ]
+    )

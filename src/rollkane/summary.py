@@ -1,0 +1,144 @@
+"""A run in a few lines: what it did, how exact it is, and what it needed."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .coordinates import State
+from .history import History, history
+from .rolling import contact_of, rolling_derivative
+from .scene import Scene
+from .small_linear import dot
+from .trajectory import Trajectory
+
+_MOST_LISTED = 12
+_ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
+
+
+def summary(trajectory: Trajectory) -> list[str]:
+    """Describe a single run.
+
+    Args:
+        trajectory: One run, not a batch.
+
+    Returns:
+        Lines: spin about the base's normal [rad/s] before and after, when it changed
+        its sign [s], relative drift of the energy [1], steps, the normal force [N]
+        (or when the contact would first have had to pull), and the friction
+        coefficient that rolling needed [1].
+
+    Raises:
+        FieldError: a batch.
+    """
+    motion = history(trajectory)
+    rows = np.nonzero(motion.reached)[0]
+    lines = []
+    if rows.size:
+        motion = motion.rows(rows)
+        lines += _spin_lines(trajectory, motion, rows)
+        lines.append(_line("energy drift", f"{np.nanmax(motion.energy_error):.1e}"))
+    steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
+    lines.append(_line("steps", f"{steps} accepted, {rejected} rejected"))
+    if rows.size:
+        mass = float(trajectory.scene.body.mass)
+        lines += _force_lines(motion, mass)
+    return lines
+
+
+def sign_changes(
+    time: Float[np.ndarray, " T"],
+    value: Float[np.ndarray, " T"],
+    rate: Float[np.ndarray, " T"],
+) -> Float[np.ndarray, " n"]:
+    """Times at which a sampled function changes its sign.
+
+    Between two samples the function is the cubic that has both values and both rates;
+    all its roots count, so that a double change between two samples is found too.
+
+    Args:
+        time: Strictly monotonic [s].
+        value: Samples.
+        rate: Their rates [unit of the samples / s].
+
+    Returns:
+        Times in the order of the samples [s].
+    """
+    found = []
+    for k, step in enumerate(np.diff(time)):
+        a, b = value[k], value[k + 1]
+        c, d = step * rate[k], step * rate[k + 1]
+        # extremes of the cubic lie within its Bezier points; most intervals end here
+        ends = np.array([a, a + c / 3, b - d / 3, b])
+        if np.all(ends > 0) or np.all(ends < 0):
+            continue
+        cubic = np.array([2 * (a - b) + c + d, 3 * (b - a) - 2 * c - d, c, a])
+        roots = np.roots(cubic)
+        real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
+        # a zero that is a sample belongs to the interval that it opens
+        inner = real[(real >= 0) & (real < 1)]
+        slopes = np.polyval(np.polyder(cubic), inner)
+        found += [time[k] + x * step for x in inner[slopes != 0]]
+    return np.array(found)
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<18}{text}"
+
+
+def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
+    spin = motion.spin
+    lines = [
+        _line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about the normal"),
+    ]
+    fastest = np.max(np.linalg.norm(motion.angular_velocity, axis=1))
+    if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
+        return [*lines, _line("reversals", "none")]
+    rate = np.asarray(trajectory.each(_spin_rate), dtype=float)[rows]
+    times = sign_changes(motion.time, spin, rate)
+    listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
+    if times.size > _MOST_LISTED:
+        listed += f" and {times.size - _MOST_LISTED} more"
+    if times.size:
+        listed += " (interpolated between outputs)"
+    return [*lines, _line("reversals", listed if times.size else "none")]
+
+
+def _force_lines(motion: History, mass: float) -> list[str]:
+    press, time = motion.normal_force, motion.time
+    if np.max(np.abs(motion.contact_force)) <= 1e-12 * mass:
+        return [_line("normal force", "none")]
+    pulls = press <= 0
+    least = int(np.argmin(press))
+    lines = [
+        _line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
+    ]
+    if np.any(pulls):
+        k = int(np.argmax(pulls))
+        when = time[k]
+        if k:  # a straight line between outputs
+            share = press[k - 1] / (press[k - 1] - press[k])
+            when = time[k - 1] + share * (time[k] - time[k - 1])
+        lines.append(
+            f"  the contact would have to pull first at t = {when:.4f} s; the run "
+            "assumes that it can"
+        )
+    if not np.all(pulls):
+        tangential = motion.contact_force - press[:, None] * motion.outward
+        ratio = np.linalg.norm(tangential, axis=1) / np.where(pulls, np.inf, press)
+        most = int(np.argmax(ratio))
+        text = f"{ratio[most]:.4g} at most, t = {time[most]:.4g} s"
+        if np.any(pulls):
+            text += " (while pressed together)"
+        lines.append(_line("friction needed", text))
+    return lines
+
+
+def _spin_rate(scene: Scene, state: State) -> Float[Array, ""]:
+    """Rate of the spin along the motion [rad/s^2]."""
+
+    def spin(state):
+        return -dot(contact_of(scene, state).normal, state.angular_velocity)
+
+    now = jnp.zeros((), state.orientation.dtype)
+    return jax.jvp(spin, (state,), (rolling_derivative(scene, now, state),))[1]

@@ -1,0 +1,177 @@
+"""A motion as one HTML page that plays in any browser, from disk, without a network.
+
+The page carries everything it needs: the drawing library, the meshes, the motion. Its
+own programs lie beside this module in ``viewer_assets``.
+"""
+
+import base64
+import html
+import json
+import os
+import re
+from importlib import resources
+
+import numpy as np
+
+from .checks import FieldError
+from .history import History, history
+from .mesh import Mesh, body_size, plate_mesh, surface_mesh
+from .surfaces import Plane
+from .trajectory import Trajectory
+from .whole_file import write_whole
+
+# More frames would only make the page larger: it moves smoothly between them.
+MOST_FRAMES = 2000
+_SCRIPTS = ("three.bundle.js", "motion.js", "stage.js", "viewer.js")
+
+
+def write_view(
+    trajectory: Trajectory, path: str | os.PathLike, title: str = ""
+) -> None:
+    """Write a trajectory as a self-contained page with a moving three-dimensional view.
+
+    The page shows the body and its base, the contact point with its traces on both,
+    and (by a switch) the contact force; it has a slider, a clock and a camera that
+    can follow. ``#frame=N`` behind its name shows frame N at rest. It opens from
+    disk and in sandboxed frames, and fetches nothing.
+
+    Args:
+        trajectory: One run, not a batch. Of more than 2000 outputs, 2000 are kept.
+        path: Where to; the folder must exist. The file appears whole or not at all.
+        title: Heading of the page; plain text.
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+        OSError: the file cannot be written.
+    """
+    write_whole(path, view_page(trajectory, title).encode())
+
+
+def view_page(trajectory: Trajectory, title: str = "") -> str:
+    """The text of the page that :func:`write_view` writes.
+
+    Args:
+        trajectory: One run, not a batch.
+        title: Heading of the page; plain text.
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+    """
+    data = json.dumps(view_data(trajectory, title), allow_nan=False)
+    parts = {
+        "title": html.escape(title or "rollkane"),
+        "style": _asset("viewer.css"),
+        "license": _asset("LICENSE.three").replace("--", "- -"),
+        # a browser ends a script at the first "</script", wherever it stands
+        "data": data.replace("<", "\\u003c").replace("&", "\\u0026"),
+        "scripts": "\n".join(f"<script>\n{_asset(s)}\n</script>" for s in _SCRIPTS),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda m: parts[m[1]], _asset("template.html"))
+
+
+def view_data(trajectory: Trajectory, title: str = "") -> dict:
+    """What the page's programs are given, ready for JSON.
+
+    Args:
+        trajectory: One run, not a batch.
+        title: Heading of the page.
+
+    Returns:
+        ``title``, ``note`` (why the run ended early), ``size`` of the body [m],
+        ``force`` (a usual contact force [N]), ``frames`` (a :class:`History` column
+        each), ``body`` and ``base`` (meshes; None for a plane). Arrays are written as
+        ``type``, ``shape`` and ``data`` (base64, little endian); ``points`` of a mesh
+        are 65535ths of the box from ``low`` to ``high`` [m].
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+    """
+    motion = history(trajectory)
+    reached = np.flatnonzero(motion.reached)
+    if not reached.size:
+        raise FieldError(
+            "trajectory",
+            trajectory.reason,
+            "holds no state that could be shown",
+            "repair the start",
+        )
+    motion = motion.rows(reached)
+    scene = trajectory.scene
+    size = body_size(scene.body, motion.contact_on_body)
+    forces = np.linalg.norm(motion.contact_force, axis=1)
+    note = ""
+    if not bool(trajectory.succeeded):
+        reason = trajectory.reason.split(":")[0]
+        note = f"stopped at {float(trajectory.final_time):.6g} s: {reason}"
+    return {
+        "title": title,
+        "note": note,
+        "size": size,
+        "force": float(np.nanmedian(forces)) if np.isfinite(forces).any() else 1.0,
+        "frames": _frames(motion),
+        "body": _mesh_data(_body_mesh(trajectory, motion, size)),
+        "base": _base_data(trajectory, motion, size),
+    }
+
+
+def _frames(motion: History) -> dict:
+    """Columns of at most ``MOST_FRAMES`` rows."""
+    count = len(motion.time)
+    kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
+    thin = motion.rows(kept)
+    columns = {name: thin._asdict()[name] for name in History._fields[:-1]}
+    columns["energy"] = motion.energy_error[kept]
+    return {
+        name: _packed(column, "float64" if name == "time" else "float32")
+        for name, column in columns.items()
+    }
+
+
+def _body_mesh(trajectory: Trajectory, motion: History, size: float) -> Mesh:
+    surface = trajectory.scene.body.surface
+    if isinstance(surface, Plane):
+        return plate_mesh(motion.contact_on_body, size)
+    return surface_mesh(surface, motion.contact_on_body, motion.body_outward, size)
+
+
+def _base_data(trajectory: Trajectory, motion: History, size: float) -> dict | None:
+    """Mesh of the base; None for a plane, which the page draws itself."""
+    surface = trajectory.scene.base.surface
+    if isinstance(surface, Plane):
+        return None
+    extent = np.max(np.ptp(motion.contact_on_base, axis=0), initial=0.0)
+    margin = 1.3 * size + 0.1 * float(extent)
+    mesh = surface_mesh(surface, motion.contact_on_base, motion.outward, margin)
+    return _mesh_data(mesh)
+
+
+def _mesh_data(mesh: Mesh) -> dict:
+    centre = mesh.points.mean(axis=0)
+    out = np.sum(mesh.normals * (mesh.points - centre))
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    shares = (mesh.points - low) / np.where(high > low, high - low, 1.0)
+    return {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "points": _packed(np.rint(65535 * shares), "uint16"),
+        "normals": _packed(np.rint(127 * mesh.normals), "int8"),
+        "marks": _packed(np.rint(65535 * mesh.marks), "uint16"),
+        "triangles": _packed(mesh.triangles, "uint16"),
+        "cells": list(mesh.cells),
+        "hollow": bool(out < 0),
+    }
+
+
+def _packed(array: np.ndarray, dtype: str) -> dict:
+    with np.errstate(over="ignore"):
+        narrow = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
+    return {
+        "type": dtype,
+        "shape": list(narrow.shape),
+        "data": base64.b64encode(narrow.tobytes()).decode("ascii"),
+    }
+
+
+def _asset(name: str) -> str:
+    folder = resources.files(__package__) / "viewer_assets"
+    return (folder / name).read_text(encoding="utf-8")
