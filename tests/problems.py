@@ -118,7 +118,8 @@ def rattleback(spin=None):
     if spin is not None:
         omega = jnp.stack([omega[0], omega[1], jnp.asarray(spin)])
     normal = -R.T @ [0.0, 0.0, 1.0]
-    rho = np.asarray(scene.body.surface.point_with_normal(jnp.asarray(normal)))
+    squares = np.array([0.2, 0.03, 0.02]) ** 2
+    rho = squares * normal / np.sqrt(normal @ (squares * normal))
     contact = R @ (rho - [0.0, 0.0, -0.01])  # centre of mass starts above the origin
     start = rk.place(scene, q, jnp.asarray(R) @ omega, [contact[0], contact[1], 0.0])
     return scene, start

@@ -61,6 +61,13 @@ def main() -> None:
 @click.option("--atol", type=_Positive(), help="Absolute tolerance of a step.")
 @click.option("--duration", type=_Positive(), help="Time that the motion lasts [s].")
 @click.option("--outputs", type=click.IntRange(min=2), help="Number of output times.")
+@click.option(
+    "--max-steps",
+    type=click.IntRange(min=1),
+    default=10_000_000,
+    show_default=True,
+    help="Most steps taken.",
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def simulate(
@@ -74,6 +81,7 @@ def simulate(
     atol: float | None,
     duration: float | None,
     outputs: int | None,
+    max_steps: int,
     quiet: bool,
 ) -> None:
     """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
@@ -96,7 +104,11 @@ def simulate(
         file.scene,
         file.start,
         times,
-        {"rtol": rtol or file.rtol, "atol": atol or file.atol},
+        {
+            "rtol": rtol or file.rtol,
+            "atol": atol or file.atol,
+            "max_steps": max_steps,
+        },
         quiet,
     )
     if not quiet:
@@ -172,7 +184,9 @@ def _loaded(ctx: click.Context, scene: str) -> Any:
         ctx.exit(_BAD_INPUT)
 
 
-def _run(scene: Any, start: Any, times: Any, tolerances: dict[str, Any], quiet: bool):
+def _run(
+    scene: Any, start: Any, times: Any, how: dict[str, Any], quiet: bool
+) -> tuple[Any, str]:
     """The trajectory, and a line that tells compiling from running."""
     import jax
 
@@ -181,7 +195,7 @@ def _run(scene: Any, start: Any, times: Any, tolerances: dict[str, Any], quiet: 
 
     def timed() -> tuple[Any, float]:
         began = time.perf_counter()
-        result = integrate(scene, start, times, **tolerances)
+        result = integrate(scene, start, times, **how)
         jax.block_until_ready(result.state)
         return result, time.perf_counter() - began
 

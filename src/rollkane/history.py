@@ -93,7 +93,8 @@ class History(NamedTuple):
         Args:
             which: Row numbers, or one truth value per row.
         """
-        return History(*(column[which] for column in self[:-1]), self.rounding)
+        columns = {name: self._asdict()[name][which] for name in self._fields[:-1]}
+        return self._replace(**columns)
 
 
 def history(trajectory: Trajectory) -> History:

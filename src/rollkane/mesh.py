@@ -61,8 +61,8 @@ def surface_mesh(
         counts: Points along the two directions of the chart.
 
     Returns:
-        The mesh; places where the chart is not finite are left out. A sharp rim is
-        drawn as a thin disc.
+        The mesh; places where the chart is not finite are left out (all of them:
+        no triangles). A sharp rim is drawn as a thin disc.
     """
     if isinstance(surface, DiscEdge):
         return _disc(float(surface.radius), counts[0])
@@ -104,7 +104,8 @@ def plate_mesh(touched: np.ndarray, size: float) -> Mesh:
             normals.append(np.tile(side * np.eye(3)[axis], (4, 1)))
     points = np.concatenate(points)
     starts = 4 * np.arange(6)[:, None]
-    triangles = np.concatenate([starts + [0, 1, 2], starts + [0, 2, 3]])
+    halves = np.array([[0, 1, 2], [0, 2, 3]])
+    triangles = np.concatenate([starts + half_face for half_face in halves])
     marks = 0.5 + 0.5 * ((points - middle) / half)[:, :2]
     return Mesh(points, np.concatenate(normals), marks, triangles, (8, 8))
 
@@ -163,7 +164,8 @@ def chart_points(surface: AbstractSurface, q: np.ndarray) -> np.ndarray:
     """
     like = jax.tree.leaves(eqx.filter(surface, eqx.is_inexact_array))
     dtype = like[0].dtype if like else jnp.result_type(float)
-    return np.asarray(_on_chart(surface, jnp.asarray(q, dtype)), dtype=float)
+    points = np.asarray(_on_chart(surface, jnp.asarray(q, dtype)), dtype=float)
+    return np.where(np.isfinite(points), points, np.nan)
 
 
 @eqx.filter_jit
@@ -180,7 +182,11 @@ def _drawn(surface: AbstractSurface, q: np.ndarray) -> np.ndarray:
 
 def _grid(surface, domain, counts) -> tuple[np.ndarray, np.ndarray]:
     """Points spread evenly, shape (n1, n2, 3), and their marks, shape (n1 n2, 2)."""
-    lines = [np.linspace(*domain[a], counts[a]) for a in range(2)]
+    (low_1, high_1), (low_2, high_2) = domain
+    lines = [
+        np.linspace(low_1, high_1, counts[0]),
+        np.linspace(low_2, high_2, counts[1]),
+    ]
     for left in (2, 1, 0):
         q = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
         places = _drawn(surface, q).reshape(*counts, 3)
@@ -229,7 +235,7 @@ def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Mean normals of the triangles round each point; seams and poles are closed."""
     finite = np.isfinite(points).all(axis=1)
     grain = 1e-6 * np.max(np.ptp(points[finite], axis=0), initial=1e-300)
-    keys = np.where(finite[:, None], np.rint(points / grain), np.nan)
+    keys = np.rint(points / grain)
     same = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     p = points[triangles]
     areas = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])

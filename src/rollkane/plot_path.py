@@ -68,25 +68,27 @@ def draw_path_in_space(panel, motion: History, base: AbstractSurface, size: floa
         panel.set_axis_off()
         return
     mesh = surface_mesh(base, kept.contact_on_base, kept.outward, size, (49, 25))
-    factor, unit = _length_unit(_spread(mesh.points))
+    shown = mesh.points if mesh.triangles.size else kept.contact_on_base
+    factor, unit = _length_unit(_spread(shown))
     panel.computed_zorder = False  # the path is never washed out by the surface
     facing = _turn_towards(panel, kept.outward)
-    panel.plot_trisurf(
-        *(factor * mesh.points.T),
-        triangles=mesh.triangles,
-        color="#d7dee8",
-        alpha=0.3,
-        edgecolor="#9aa7b8",
-        linewidth=0.12,
-        shade=True,
-        zorder=1,
-    )
+    if mesh.triangles.size:
+        panel.plot_trisurf(
+            *(factor * mesh.points.T),
+            triangles=mesh.triangles,
+            color="#d7dee8",
+            alpha=0.3,
+            edgecolor="#9aa7b8",
+            linewidth=0.12,
+            shade=True,
+            zorder=1,
+        )
     columns = factor * kept.contact_on_base.T
     seen = np.where(facing[1:] & facing[:-1], 1.0, 0.35)
     lines = Line3DCollection(_pieces(*columns), cmap="viridis", zorder=3)
     lines.set_linewidth(1.3 * _width(kept.contact_on_base))
     lines.set_array(0.5 * (kept.time[1:] + kept.time[:-1]))
-    lines.set_alpha(seen)
+    lines.set_alpha(seen.tolist())
     panel.add_collection3d(lines, autolim=False)
     _mark_ends(panel, *columns)
     panel.set_aspect("equal")

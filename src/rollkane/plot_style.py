@@ -35,10 +35,15 @@ def new_figure(inches: tuple[float, float]) -> "Figure":
     return figure
 
 
-def png(figure: "Figure") -> bytes:
-    """The figure as a PNG file's bytes."""
+def png(figure: "Figure", dpi: int = DPI) -> bytes:
+    """The figure as a PNG file's bytes.
+
+    Args:
+        figure: What to write.
+        dpi: Dots per inch.
+    """
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=DPI)
+    figure.savefig(picture, format="png", dpi=dpi)
     return picture.getvalue()
 
 

@@ -62,7 +62,7 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
     _draw_spin(axes[0], motion)
     _draw_tilt(axes[1], motion, isinstance(_body(trajectory), _ROUND_BODIES))
     _draw_energy(axes[2], motion)
-    _draw_normal_force(axes[3], motion)
+    _draw_normal_force(axes[3], motion, trajectory)
     for panel in axes:
         dress(panel)
     axes[-1].set_xlabel("time [s]")
@@ -237,7 +237,7 @@ def _draw_energy(panel: "Axes", motion: History) -> None:
     panel.set_ylabel("|E − E₀| / |E₀| [1]")
 
 
-def _draw_normal_force(panel: "Axes", motion: History) -> None:
+def _draw_normal_force(panel: "Axes", motion: History, trajectory: Trajectory) -> None:
     force = motion.normal_force
     _curve(panel, motion, force, BROWN)
     low, high = limits(np.append(force, 0.0), 0.06)
@@ -248,7 +248,7 @@ def _draw_normal_force(panel: "Axes", motion: History) -> None:
         panel.fill_between(motion.time, force, 0.0, where=pulls, color=RED, alpha=0.3)
         for on, off in _spans(pulls):
             panel.axvspan(motion.time[on], motion.time[off], color=RED, alpha=0.08)
-        first = f"pulls first at {motion.time[np.argmax(pulls)]:.6g} s"
+        first = f"pulls first at {float(trajectory.first_pull):.6g} s"
         panel.set_title(first, loc="right", color=RED, fontsize=9, pad=3)
     panel.set_ylabel("normal force [N]")
 

@@ -124,14 +124,18 @@ def _simulate(plan, plan_arrays, scene, start, times, tolerances, dt0) -> Trajec
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
 
+    @jax.jit  # traced once, however often the integrator evaluates it
     def rates(t, y, scene):
         derivative = _DERIVATIVES[plan.formulation]
         return pack(derivative(scene, t, unpack(y, like)))
 
     def solve(inputs, replay, adjoint):
-        return _solve(plan, rates, inputs, replay, adjoint)
+        return _solve(plan, rates, like, inputs, replay, adjoint)
 
-    y0 = _moved_in_time(rates, pack(start), times[0], scene, -1.0)
+    y0 = pack(start)
+    # NaN would keep the step controller going for ever; zero stops it at the start
+    y0 = jnp.where(jnp.all(jnp.isfinite(y0)), y0, 0.0)
+    y0 = _moved_in_time(rates, y0, times[0], scene, -1.0)
     fixed_times = jax.lax.stop_gradient(times)
     inputs = (scene, y0, fixed_times, *tolerances, dt0)
     if plan.adjoint is None:
@@ -164,13 +168,13 @@ class _Solution(eqx.Module):
     rejected_steps: Array
 
 
-def _solve(plan: _Plan, rates, inputs, replay, adjoint) -> tuple[_Solution, Array | None]:
+def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     """One diffrax solve: adaptive, or along the steps of ``replay``."""
     scene, y0, times, rtol, atol, dt0 = inputs
     t0, t1 = times[0], times[-1]
-    rates_0 = rates(t0, y0, scene)
     if dt0 is None:
-        dt0 = first_step(y0, rates_0, t1 - t0, rtol, atol)
+        dt0 = first_step(unpack(y0, like).angular_velocity, t1 - t0)
+        dt0 = jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
         controller, dt0 = ReplaySteps(replay), None
@@ -179,7 +183,9 @@ def _solve(plan: _Plan, rates, inputs, replay, adjoint) -> tuple[_Solution, Arra
     else:
         resolution = 10 * jnp.finfo(times.dtype).eps
         dtmin = resolution * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-        controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin)
+        controller = dfx.PIDController(
+            rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False
+        )
         if plan.saveat is None and times.shape[0] > 2:
             controller = LandOn(controller, times[1:])
     wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
@@ -189,7 +195,8 @@ def _solve(plan: _Plan, rates, inputs, replay, adjoint) -> tuple[_Solution, Arra
         subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: None))
     max_steps = plan.max_steps
     if max_steps is None:
-        bounded = recording or replay is not None or plan.saveat is not None
+        custom = plan.saveat is not None or plan.controller is not None
+        bounded = recording or replay is not None or custom
         max_steps = _RECORDED_STEPS if bounded else _UNRECORDED_STEPS
     solution = dfx.diffeqsolve(
         dfx.ODETerm(rates),
@@ -214,14 +221,14 @@ def _solve(plan: _Plan, rates, inputs, replay, adjoint) -> tuple[_Solution, Arra
         y=y,
         final_time=final_time[-1],
         final_y=final_y[-1],
-        code=_code(solution.result, jnp.all(jnp.isfinite(rates_0))),
+        code=_code(solution.result, final_time[-1] == t0),
         steps=solution.stats["num_accepted_steps"],
         rejected_steps=solution.stats["num_rejected_steps"],
     )
     return outcome, record[0] if recording else None
 
 
-def _code(result, usable) -> Array:
+def _code(result, stuck) -> Array:
     code = jnp.asarray(Code.STOPPED)
     for known, meaning in (
         (dfx.RESULTS.successful, Code.COMPLETED),
@@ -229,7 +236,8 @@ def _code(result, usable) -> Array:
         (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),
     ):
         code = jnp.where(result == known, meaning, code)
-    return jnp.where(usable, code, Code.BAD_START)
+    too_small = stuck & (code == Code.STEP_TOO_SMALL)
+    return jnp.where(too_small, Code.BAD_START, code)
 
 
 @eqx.filter_custom_jvp

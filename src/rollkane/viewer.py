@@ -79,9 +79,10 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
     Returns:
         ``title``, ``note`` (why the run ended early), ``size`` of the body [m],
         ``force`` (a usual contact force [N]), ``frames`` (a :class:`History` column
-        each), ``body`` and ``base`` (meshes; None for a plane). Arrays are written as
-        ``type``, ``shape`` and ``data`` (base64, little endian); ``points`` of a mesh
-        are 65535ths of the box from ``low`` to ``high`` [m].
+        each), ``body`` and ``base`` (meshes; ``{"plane": True}`` for a plane, None for
+        a surface whose chart has no point). Arrays are written as ``type``, ``shape``
+        and ``data`` (base64, little endian); ``points`` of a mesh are 65535ths of the
+        box from ``low`` to ``high`` [m].
 
     Raises:
         FieldError: a batch, or a run of which no state is finite.
@@ -135,17 +136,20 @@ def _body_mesh(trajectory: Trajectory, motion: History, size: float) -> Mesh:
 
 
 def _base_data(trajectory: Trajectory, motion: History, size: float) -> dict | None:
-    """Mesh of the base; None for a plane, which the page draws itself."""
+    """Mesh of the base; of a plane, which the page draws itself, only the word."""
     surface = trajectory.scene.base.surface
     if isinstance(surface, Plane):
-        return None
+        return {"plane": True}
     extent = np.max(np.ptp(motion.contact_on_base, axis=0), initial=0.0)
     margin = 1.3 * size + 0.1 * float(extent)
     mesh = surface_mesh(surface, motion.contact_on_base, motion.outward, margin)
     return _mesh_data(mesh)
 
 
-def _mesh_data(mesh: Mesh) -> dict:
+def _mesh_data(mesh: Mesh) -> dict | None:
+    """A mesh for JSON; None for one without triangles."""
+    if not mesh.triangles.size:
+        return None
     centre = mesh.points.mean(axis=0)
     out = np.sum(mesh.normals * (mesh.points - centre))
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
@@ -173,5 +177,5 @@ def _packed(array: np.ndarray, dtype: str) -> dict:
 
 
 def _asset(name: str) -> str:
-    folder = resources.files(__package__) / "viewer_assets"
+    folder = resources.files("rollkane") / "viewer_assets"
     return (folder / name).read_text(encoding="utf-8")

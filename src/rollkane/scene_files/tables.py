@@ -1,0 +1,352 @@
+"""The tables of a scene file: names, types, shapes and units of all its fields.
+
+Types are strict: text and truth values are no numbers, whole numbers are. What no
+single field can tell (a sign, a triangle inequality, a contact) is left to the
+constructors of the library, which say it in the same words everywhere.
+"""
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from .positions import Path
+
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
+Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
+Range = Annotated[list[float], Field(min_length=2, max_length=2)]
+Ranges = Annotated[list[Range], Field(min_length=2, max_length=2)]
+# a TOML array is a list; strict tuples would refuse it
+Turn = Annotated[tuple[Literal["x", "y", "z"], float], Field(strict=False)]
+Positive = Annotated[float, Field(gt=0)]
+
+_CENTER = "its centre, three lengths in its owner's axes [m]"
+_INSIDE = "true where the other body touches from within, else false"
+_PARAMETERS = "a table of numbers that the formulas may name"
+_SURFACE = 'a table such as { kind = "sphere", radius = 0.1 } [m]'
+_PAIR = "two ranges [[low, high], [low, high]]"
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False
+    )
+
+
+class PlaneTable(_Table):
+    """The plane z = 0, material below."""
+
+    kind: Literal["plane"]
+
+
+class SphereTable(_Table):
+    """A sphere, or a spherical cavity."""
+
+    kind: Literal["sphere"]
+    radius: float = Field(description="the radius [m], positive")
+    center: Vector = Field(default=[0.0, 0.0, 0.0], description=_CENTER)
+    inside: bool = Field(default=False, description=_INSIDE)
+
+
+class EllipsoidTable(_Table):
+    """An ellipsoid with its axes along its owner's, or such a cavity."""
+
+    kind: Literal["ellipsoid"]
+    semi_axes: Vector = Field(description="three positive lengths along x, y and z [m]")
+    center: Vector = Field(default=[0.0, 0.0, 0.0], description=_CENTER)
+    inside: bool = Field(default=False, description=_INSIDE)
+
+
+class TorusTable(_Table):
+    """A torus about the z axis."""
+
+    kind: Literal["torus"]
+    major_radius: float = Field(
+        description="the radius of the tube's centre line [m], positive"
+    )
+    minor_radius: float = Field(
+        description="the radius of the tube [m], positive, less than major_radius"
+    )
+    inside: bool = Field(default=False, description=_INSIDE)
+
+
+class CylinderTable(_Table):
+    """A circular cylinder about the z axis, without ends."""
+
+    kind: Literal["cylinder"]
+    radius: float = Field(description="the radius [m], positive")
+    inside: bool = Field(default=False, description=_INSIDE)
+
+
+class ConeTable(_Table):
+    """The cone z = slope * distance from the z axis."""
+
+    kind: Literal["cone"]
+    slope: float = Field(description="rise over run [1], not zero")
+    inside: bool = Field(
+        default=False, description="true where the other body is above, else false"
+    )
+
+
+class DiscEdgeTable(_Table):
+    """The sharp rim of a disc in the plane z = 0, axis z."""
+
+    kind: Literal["disc-edge"]
+    radius: float = Field(description="the radius of the rim [m], positive")
+
+
+class GraphTable(_Table):
+    """The surface z = f(x, y), the other body above."""
+
+    kind: Literal["graph"]
+    f: str = Field(description='a formula in x and y [m], such as "0.3*x**2"')
+    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    domain: Ranges = Field(
+        default=[[-1.0, 1.0], [-1.0, 1.0]],
+        description=_PAIR + " of x and y [m] for searches and drawing",
+    )
+
+
+class RevolutionTable(_Table):
+    """A surface of revolution about z: radius(s), height(s)."""
+
+    kind: Literal["revolution"]
+    radius: str = Field(description='a formula in s [m], such as "0.1*sin(s)"')
+    height: str = Field(description='a formula in s [m], such as "-0.1*cos(s)"')
+    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    domain: Range = Field(
+        default=[0.0, math.pi], description="the range [low, high] of s"
+    )
+    inside: bool = Field(
+        default=False,
+        description="true turns the outward side towards the axis, else false",
+    )
+
+
+class ParametricTable(_Table):
+    """A surface by its position as a function of q1 and q2."""
+
+    kind: Literal["parametric"]
+    x: str = Field(description='a formula in q1 and q2 [m], such as "cos(q1)*cos(q2)"')
+    y: str = Field(description='a formula in q1 and q2 [m], such as "sin(q1)*cos(q2)"')
+    z: str = Field(description='a formula in q1 and q2 [m], such as "sin(q2)"')
+    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    domain: Ranges = Field(
+        default=[[-math.pi, math.pi], [-0.5 * math.pi, 0.5 * math.pi]],
+        description=_PAIR + " of q1 and q2 for searches and drawing",
+    )
+    inside: bool = Field(
+        default=False,
+        description="false where the normal d1 x d2 points out of the material, "
+        "else true",
+    )
+
+
+class ImplicitTable(_Table):
+    """The surface f(x, y, z) = 0, with f < 0 in the material."""
+
+    kind: Literal["implicit"]
+    f: str = Field(description='a formula in x, y, z, such as "x**2 + y**2 + z**4 - 1"')
+    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    center: Vector = Field(
+        default=[0.0, 0.0, 0.0],
+        description="a point of the material from which the surface is searched [m]",
+    )
+    size: float = Field(
+        default=1.0, description="how far from there it reaches at most [m], positive"
+    )
+
+
+class GravityTable(_Table):
+    """Uniform gravity."""
+
+    kind: Literal["gravity"]
+    acceleration: Vector = Field(
+        default=[0.0, 0.0, -9.81],
+        description="three components in the fixed axes [m/s^2]",
+    )
+
+
+SURFACES: dict[str, type[_Table]] = {
+    "plane": PlaneTable,
+    "sphere": SphereTable,
+    "ellipsoid": EllipsoidTable,
+    "torus": TorusTable,
+    "cylinder": CylinderTable,
+    "cone": ConeTable,
+    "disc-edge": DiscEdgeTable,
+    "graph": GraphTable,
+    "revolution": RevolutionTable,
+    "parametric": ParametricTable,
+    "implicit": ImplicitTable,
+}
+LOADS: dict[str, type[_Table]] = {"gravity": GravityTable}
+
+Surface = Annotated[
+    PlaneTable
+    | SphereTable
+    | EllipsoidTable
+    | TorusTable
+    | CylinderTable
+    | ConeTable
+    | DiscEdgeTable
+    | GraphTable
+    | RevolutionTable
+    | ParametricTable
+    | ImplicitTable,
+    Field(discriminator="kind"),
+]
+
+
+class BodyTable(_Table):
+    """The rolling body."""
+
+    mass: float = Field(description="the mass [kg], positive")
+    center_of_mass: Vector = Field(
+        default=[0.0, 0.0, 0.0],
+        description="three lengths from the body origin, body axes [m]",
+    )
+    inertia: Matrix = Field(
+        description="the 3 x 3 tensor about the CENTRE OF MASS, body axes [kg m^2], "
+        "off-diagonal entries minus the products of inertia"
+    )
+    surface: Surface = Field(description=_SURFACE)
+
+
+class BaseTable(_Table):
+    """What the body rolls on; its axes are the fixed axes."""
+
+    surface: Surface = Field(description=_SURFACE)
+
+
+class StartTable(_Table):
+    """How the motion starts."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "allOf": [
+                {"oneOf": [{"required": [a]}, {"required": [b]}]}
+                for a, b in (
+                    ("orientation", "rotations"),
+                    ("angular_velocity", "angular_velocity_body"),
+                )
+            ]
+        }
+    )
+
+    orientation: Quaternion | None = Field(
+        default=None,
+        description="a unit quaternion, scalar first, body to fixed axes [1]",
+    )
+    rotations: list[Turn] | None = Field(
+        default=None,
+        description='turns [["x", degrees], ["y", degrees], ...] whose matrices '
+        "multiply from left to right to the body-to-fixed rotation",
+    )
+    angular_velocity: Vector | None = Field(
+        default=None, description="three components in the fixed axes [rad/s]"
+    )
+    angular_velocity_body: Vector | None = Field(
+        default=None, description="three components in the body axes [rad/s]"
+    )
+    contact_on_base: Vector = Field(
+        default=[0.0, 0.0, 0.0],
+        description="the contact point on the base's surface, base axes [m]",
+    )
+    base_normal: Vector | None = Field(
+        default=None,
+        description="the base's outward normal there, only for a base with an edge [1]",
+    )
+
+
+class RunTable(_Table):
+    """How long the motion lasts and how exactly it is computed."""
+
+    duration: Positive = Field(description="the time it lasts [s], positive")
+    outputs: int = Field(
+        default=1001, ge=2, description="the number of output times, two or more"
+    )
+    rtol: Positive | None = Field(
+        default=None, description="the relative tolerance of a step, such as 1e-9"
+    )
+    atol: Positive | None = Field(
+        default=None, description="the absolute tolerance of a step, such as 1e-11"
+    )
+
+
+class SceneTable(_Table):
+    """A scene of rollkane: a body that rolls on a base. SI units, right-handed axes."""
+
+    title: str = Field(default="", description="a line of text")
+    description: str = Field(default="", description="text")
+    axes: str = Field(default="", description="how the body axes lie, as text")
+    body: BodyTable = Field(description="a table [body]")
+    base: BaseTable | None = Field(
+        default=None, description="a table [base]; left out, the plane z = 0"
+    )
+    loads: list[GravityTable] | None = Field(
+        default=None,
+        description="tables [[loads]]; left out, gravity; loads = [] for none",
+    )
+    start: StartTable = Field(description="a table [start]")
+    run: RunTable = Field(description="a table [run]")
+
+
+def kinds_at(path: Path) -> dict[str, type[_Table]] | None:
+    """The tables that may stand at a path, by their ``kind``; None elsewhere."""
+    match path:
+        case ("body" | "base", "surface"):
+            return SURFACES
+        case ("loads", int()):
+            return LOADS
+    return None
+
+
+def table_at(path: Path, kind: Any = None) -> type[_Table] | None:
+    """The table that stands at a path.
+
+    Args:
+        path: Keys, and indices of arrays.
+        kind: Its ``kind``, where there are several.
+    """
+    kinds = kinds_at(path)
+    if kinds is not None:
+        return kinds.get(kind) if isinstance(kind, str) else None
+    match path:
+        case ():
+            return SceneTable
+        case ("body",):
+            return BodyTable
+        case ("base",):
+            return BaseTable
+        case ("start",):
+            return StartTable
+        case ("run",):
+            return RunTable
+    return None
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema of a scene file (draft 2020-12), for editors and generators."""
+    schema = SceneTable.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    _drop_null(schema)
+    return schema
+
+
+def _drop_null(schema: Any) -> None:
+    """TOML has no null: an optional field is one that may be left out."""
+    if isinstance(schema, list):
+        for part in schema:
+            _drop_null(part)
+        return
+    if not isinstance(schema, dict):
+        return
+    for part in schema.values():
+        _drop_null(part)
+    choices = schema.get("anyOf", [])
+    if {"type": "null"} in choices:
+        (only,) = [choice for choice in choices if choice != {"type": "null"}]
+        del schema["anyOf"], schema["default"]
+        schema.update(only)

@@ -1,0 +1,333 @@
+// Everything that is seen: body, base, traces, contact point, force, lights.
+"use strict";
+
+var rollkane = rollkane || {};
+
+rollkane.colors = {
+  body: ["#f4efe6", "#d9783c"],
+  bodyMark: ["#cfe0f2", "#2f6aa8"],
+  base: "#e9edf2",
+  line: "#b4bfcc",
+  baseTrace: "#1b4f91",
+  bodyTrace: "#6a1f8a",
+  contact: "#d11f2f",
+  force: "#1d8a5f",
+  pull: "#b3261e",
+};
+
+rollkane.canvas = (width, height, draw) => {
+  const canvas = document.createElement("canvas");
+  canvas.width = width;
+  canvas.height = height;
+  draw(canvas.getContext("2d"), width, height);
+  const texture = new THREE.CanvasTexture(canvas);
+  texture.anisotropy = 8;
+  return texture;
+};
+
+// Squares along the lines of the chart; one sector has another colour, so that a turn
+// about an axis of symmetry is seen as well.
+rollkane.checker = ([columns, rows]) => {
+  const { body, bodyMark } = rollkane.colors;
+  const texture = rollkane.canvas(1024, 512, (pen, width, height) => {
+    for (let i = 0; i < columns; i += 1) {
+      for (let j = 0; j < rows; j += 1) {
+        pen.fillStyle = (i < 2 ? bodyMark : body)[(i + j) % 2];
+        const [x, y] = [(i * width) / columns, (j * height) / rows];
+        pen.fillRect(x, y, width / columns + 1, height / rows + 1);
+      }
+    }
+  });
+  texture.colorSpace = THREE.SRGBColorSpace;
+  return texture;
+};
+
+rollkane.lattice = ([columns, rows]) => {
+  const { base, line } = rollkane.colors;
+  const texture = rollkane.canvas(2048, 1024, (pen, width, height) => {
+    pen.fillStyle = base;
+    pen.fillRect(0, 0, width, height);
+    pen.fillStyle = line;
+    // squares of equal sides: lines of equal widths on the surface, not on the canvas
+    const [across, down] = [width / columns / 2, height / rows / 2];
+    for (let i = 0; i <= 2 * columns; i += 1) {
+      pen.fillRect((i - 0.02) * across, 0, 0.04 * across, height);
+    }
+    for (let j = 0; j <= 2 * rows; j += 1) {
+      pen.fillRect(0, (j - 0.02) * down, width, 0.04 * down);
+    }
+  });
+  texture.colorSpace = THREE.SRGBColorSpace;
+  return texture;
+};
+
+rollkane.geometry = (mesh) => {
+  const geometry = new THREE.BufferGeometry();
+  const put = (name, values, width, normalized) =>
+    geometry.setAttribute(name, new THREE.BufferAttribute(values, width, normalized));
+  // points come as shares of their box
+  const { low, high } = mesh;
+  const points = Float32Array.from(
+    rollkane.unpack(mesh.points),
+    (x, i) => low[i % 3] + (x / 65535) * (high[i % 3] - low[i % 3]),
+  );
+  put("position", points, 3, false);
+  put("normal", rollkane.unpack(mesh.normals), 3, true);
+  put("uv", rollkane.unpack(mesh.marks), 2, true);
+  geometry.setIndex(new THREE.BufferAttribute(rollkane.unpack(mesh.triangles), 1));
+  return geometry;
+};
+
+// A surface that is opaque from the side of its normals and a veil from behind, so that
+// one looks into hollows.
+rollkane.cutaway = (geometry, texture) => {
+  const group = new THREE.Group();
+  const common = { map: texture, roughness: 0.75, polygonOffset: true };
+  const front = new THREE.MeshStandardMaterial({
+    ...common,
+    side: THREE.FrontSide,
+    polygonOffsetFactor: 1,
+    polygonOffsetUnits: 2,
+  });
+  const veil = new THREE.MeshStandardMaterial({
+    ...common,
+    side: THREE.BackSide,
+    transparent: true,
+    opacity: 0.16,
+    depthWrite: false,
+  });
+  for (const material of [front, veil]) {
+    const part = new THREE.Mesh(geometry, material);
+    part.receiveShadow = material === front;
+    part.renderOrder = material === front ? 0 : 5;
+    group.add(part);
+  }
+  return group;
+};
+
+// Length 1, 2 or 5 times a power of ten next below a length.
+rollkane.roundLength = (length) => {
+  const power = 10 ** Math.floor(Math.log10(length));
+  return power * [5, 2, 1].find((x) => x * power <= length * 1.0001);
+};
+
+// A disc of the plane z = 0 with lines, faded towards its edge.
+rollkane.ground = (center, radius, spacing) => {
+  const { base, line } = rollkane.colors;
+  const tiles = 2 * Math.ceil(radius / spacing);
+  const grid = rollkane.canvas(256, 256, (pen, width, height) => {
+    pen.fillStyle = base;
+    pen.fillRect(0, 0, width, height);
+    pen.fillStyle = line;
+    pen.fillRect(0, 0, width, 3);
+    pen.fillRect(0, 0, 3, height);
+  });
+  grid.colorSpace = THREE.SRGBColorSpace;
+  grid.wrapS = grid.wrapT = THREE.RepeatWrapping;
+  grid.repeat.set(tiles, tiles);
+  const fade = rollkane.canvas(256, 256, (pen, width, height) => {
+    const light = pen.createRadialGradient(128, 128, 0, 128, 128, 128);
+    light.addColorStop(0, "#fff");
+    light.addColorStop(0.55, "#fff");
+    light.addColorStop(1, "#000");
+    pen.fillStyle = light;
+    pen.fillRect(0, 0, width, height);
+  });
+  const material = new THREE.MeshStandardMaterial({
+    map: grid,
+    alphaMap: fade,
+    transparent: true,
+    roughness: 0.9,
+    side: THREE.DoubleSide,
+    polygonOffset: true,
+    polygonOffsetFactor: 1,
+    polygonOffsetUnits: 2,
+  });
+  const width = tiles * spacing;
+  const ground = new THREE.Mesh(new THREE.PlaneGeometry(width, width), material);
+  // lines stay on whole multiples of the spacing
+  ground.position.set(...center.slice(0, 2).map((x) => spacing * Math.round(x / spacing)), 0);
+  ground.receiveShadow = true;
+  ground.renderOrder = -1;
+  return ground;
+};
+
+// A path that can be shown up to a frame and a point beyond it.
+rollkane.Trace = class {
+  constructor(points, color) {
+    // a path that winds much in little room is drawn thinner
+    const steps = points.slice(1).map((p, k) => Math.hypot(...p.map((x, i) => x - points[k][i])));
+    const extents = [0, 1, 2].map((i) => {
+      const values = points.map((p) => p[i]);
+      return Math.max(...values) - Math.min(...values);
+    });
+    const winding = steps.reduce((sum, x) => sum + x, 0) / Math.max(...extents, 1e-300);
+    const width = Math.min(Math.max(12 / Math.sqrt(winding), 1.2), 3);
+    const line = (flat) => {
+      const geometry = new THREE.LineGeometry();
+      geometry.setPositions(flat);
+      const material = new THREE.LineMaterial({ color, linewidth: width });
+      const object = new THREE.Line2(geometry, material);
+      object.frustumCulled = false;
+      object.renderOrder = 1;
+      return object;
+    };
+    this.points = points;
+    this.line = line(points.flat());
+    this.head = line([...points[0], ...points[0]]);
+    this.group = new THREE.Group();
+    this.group.add(this.line, this.head);
+  }
+
+  show(frame, point) {
+    this.line.geometry.instanceCount = frame;
+    this.line.visible = frame > 0;
+    this.head.geometry.setPositions([...this.points[frame], ...point]);
+  }
+};
+
+rollkane.Arrow = class {
+  constructor(size) {
+    this.group = new THREE.Group();
+    this.size = size;
+    this.parts = [0.35, 1].map((opacity) => {
+      const material = new THREE.MeshBasicMaterial({
+        opacity,
+        transparent: opacity < 1,
+        depthTest: opacity === 1,
+      });
+      const shaft = new THREE.CylinderGeometry(0.022 * size, 0.022 * size, 1, 20);
+      const tip = new THREE.ConeGeometry(0.07 * size, 0.2 * size, 24);
+      shaft.translate(0, 0.5, 0);
+      const pair = [shaft, tip].map((geometry) => new THREE.Mesh(geometry, material));
+      for (const part of pair) part.renderOrder = opacity < 1 ? 9 : 0;
+      this.group.add(...pair);
+      return { pair, material };
+    });
+  }
+
+  point(origin, vector, pulls) {
+    const length = Math.hypot(...vector);
+    this.group.visible = Number.isFinite(length) && length > 1e-9 * this.size;
+    if (!this.group.visible) return;
+    const direction = new THREE.Vector3(...vector).divideScalar(length);
+    this.group.position.set(...origin);
+    this.group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
+    for (const { pair, material } of this.parts) {
+      pair[0].scale.y = length;
+      pair[1].position.y = length;
+      material.color.set(pulls ? rollkane.colors.pull : rollkane.colors.force);
+    }
+  }
+};
+
+rollkane.Stage = class {
+  constructor(data, motion, box) {
+    const { colors } = rollkane;
+    this.size = data.size;
+    this.motion = motion;
+    this.usualForce = data.force > 0 ? data.force : 1;
+    this.scene = new THREE.Scene();
+    this.lights(box.eye);
+    this.body = new THREE.Group();
+    if (data.body) this.body.add(this.shell(data.body));
+    this.spacing = 0;
+    if (data.base && data.base.plane) {
+      this.spacing = rollkane.roundLength(0.15 * box.radius);
+      this.scene.add(rollkane.ground(box.center, 3.2 * box.radius, this.spacing));
+    } else if (data.base) {
+      const geometry = rollkane.geometry(data.base);
+      this.scene.add(rollkane.cutaway(geometry, rollkane.lattice(data.base.cells)));
+    }
+    this.onBase = new rollkane.Trace(
+      this.path("contact_on_base", "outward"), colors.baseTrace);
+    this.onBody = new rollkane.Trace(
+      this.path("contact_on_body", "body_outward"), colors.bodyTrace);
+    this.body.add(this.onBody.group);
+    this.contact = this.marker();
+    this.arrow = new rollkane.Arrow(data.size);
+    this.scene.add(this.body, this.onBase.group, this.contact, this.arrow.group);
+  }
+
+  lights(eye) {
+    this.scene.add(new THREE.HemisphereLight("#ffffff", "#cdd4de", 1.9));
+    this.sun = new THREE.DirectionalLight("#ffffff", 1.7);
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(2048, 2048);
+    const { camera } = this.sun.shadow;
+    const reach = 3 * this.size;
+    Object.assign(camera, { left: -reach, right: reach, top: reach, bottom: -reach });
+    Object.assign(camera, { near: 0.1 * this.size, far: 20 * this.size });
+    this.sun.shadow.normalBias = 0.01 * this.size;
+    this.sun.shadow.bias = -0.0005;
+    this.scene.add(this.sun, this.sun.target);
+    // from above, over the left shoulder of who looks
+    const [x, y] = eye;
+    this.sunward = new THREE.Vector3(0.5 * x + 0.8 * y, 0.5 * y - 0.8 * x, 1.5).setLength(9);
+  }
+
+  shell(mesh) {
+    const geometry = rollkane.geometry(mesh);
+    const texture = rollkane.checker(mesh.cells);
+    const shell = mesh.hollow
+      ? rollkane.cutaway(geometry, texture)
+      : new THREE.Mesh(
+          geometry,
+          new THREE.MeshStandardMaterial({
+            map: texture,
+            roughness: 0.5,
+            side: THREE.DoubleSide,
+          }),
+        );
+    shell.traverse((part) => { part.castShadow = true; });
+    return shell;
+  }
+
+  marker() {
+    const group = new THREE.Group();
+    for (const opacity of [0.55, 1]) {
+      const ball = new THREE.Mesh(
+        new THREE.SphereGeometry(0.04 * this.size, 24, 16),
+        new THREE.MeshBasicMaterial({
+          color: rollkane.colors.contact,
+          opacity,
+          transparent: opacity < 1,
+          depthTest: opacity === 1,
+        }),
+      );
+      ball.renderOrder = opacity < 1 ? 10 : 0;
+      group.add(ball);
+    }
+    return group;
+  }
+
+  // a point of a path, a little outside the surface
+  lifted(point, normal) {
+    return point.map((x, i) => x + 0.004 * this.size * normal[i]);
+  }
+
+  path(points, normals) {
+    const rows = [...Array(this.motion.count).keys()];
+    return rows.map((k) => this.lifted(this.motion.row(points, k), this.motion.row(normals, k)));
+  }
+
+  show(state) {
+    const [w, x, y, z] = state.orientation;
+    this.body.position.set(...state.position);
+    this.body.quaternion.set(x, y, z, w);
+    this.contact.position.set(...state.contact_on_base);
+    this.onBase.show(state.frame, this.lifted(state.contact_on_base, state.outward));
+    this.onBody.show(state.frame, this.lifted(state.contact_on_body, state.body_outward));
+    const scale = (1.8 * this.size) / this.usualForce;
+    const longest = 5 * this.size;
+    const length = scale * Math.hypot(...state.contact_force);
+    const cut = length > longest ? longest / length : 1;
+    this.arrow.point(
+      state.contact_on_base,
+      state.contact_force.map((f) => cut * scale * f),
+      state.normalForce < 0,
+    );
+    this.sun.target.position.copy(this.body.position);
+    this.sun.position.copy(this.sunward).multiplyScalar(this.size).add(this.body.position);
+  }
+};

@@ -1,0 +1,237 @@
+"""Derivatives in both modes: against given values, each other and differences."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+
+from .. import problems
+
+
+def x_of_disc(spin, end, rtol=1e-10):
+    """x of the mass centre of P2 at the end (the origin is the mass centre)."""
+    scene, start = problems.disc(spin)
+    return rk.simulate(scene, start, jnp.stack([jnp.zeros(()), end]), rtol=rtol).position[
+        -1, 0
+    ]
+
+
+def spin_of_rattleback(spin, end, rtol=1e-10):
+    """World spin of P3 at the end."""
+    scene, start = problems.rattleback(spin)
+    times = jnp.stack([jnp.zeros(()), end])
+    return rk.simulate(scene, start, times, rtol=rtol).angular_velocity[-1, 2]
+
+
+DISC_SPIN = 6.0 + 1.5 * np.cos(np.deg2rad(70.0))
+STONE_SPIN = float((problems.matrix(
+    problems.product(problems.turn(0, 0.5), problems.turn(1, 0.5))
+).T @ [0.0, 0.0, -5.0])[2])
+
+forward = {
+    f: jax.jit(lambda x, end, rtol, f=f: jax.jvp(lambda x: f(x, end, rtol), (x,), (1.0,)))
+    for f in (x_of_disc, spin_of_rattleback)
+}
+reverse = {
+    f: jax.jit(jax.value_and_grad(f)) for f in (x_of_disc, spin_of_rattleback)
+}
+
+
+@pytest.mark.parametrize(
+    ("f", "spin", "end", "exact", "relative"),
+    [
+        (x_of_disc, DISC_SPIN, 1.0, -0.438184516, 1e-5),
+        (x_of_disc, DISC_SPIN, 10.0, 3.1712409, 1e-5),
+        (spin_of_rattleback, STONE_SPIN, 1.0, 1.79541352, 1e-5),
+        # the given value is only known to 0.05 of 40.78
+        (spin_of_rattleback, STONE_SPIN, 5.0, 40.78, 0.05 / 40.78),
+    ],
+)
+def test_gradients_of_the_benchmark_problems(f, spin, end, exact, relative):
+    _, ahead = forward[f](spin, end, 1e-10)
+    _, back = reverse[f](spin, end, 1e-10)
+    assert abs(float(ahead) - exact) <= relative * abs(exact)
+    assert abs(float(back) - exact) <= relative * abs(exact)
+
+
+SCRIPT = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+from tests.physics import test_gradients as t
+for f, spin, end in ((t.x_of_disc, t.DISC_SPIN, 10.0), (t.spin_of_rattleback, t.STONE_SPIN, 5.0)):
+    ahead = float(t.forward[f](spin, end, 1e-12)[1])
+    back = float(t.reverse[f](spin, end, 1e-12)[1])
+    print(abs(ahead - back) / abs(ahead))
+"""
+
+
+@pytest.mark.parametrize("setting", [False, True], ids=["plain", "small-loop setting"])
+def test_reverse_equals_forward_at_tight_tolerance(setting):
+    """To 1e-9 at rtol 1e-12, where a differentiated controller is off by up to 2e-3."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    if setting:
+        option = "xla_cpu_small_while_loop_byte_threshold=16384"
+        environment["XLA_FLAGS"] = f"--xla_backend_extra_options={option}"
+    root = Path(__file__).parents[2]
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        env=environment,
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    errors = [float(line) for line in run.stdout.split()]
+    assert len(errors) == 2
+    assert max(errors) < 1e-9
+
+
+def bowl(parameters):
+    """Many parameters of one scene: body, base, load and start."""
+    scene = rk.Scene(
+        rk.Body(
+            mass=parameters["mass"],
+            inertia=jnp.diag(parameters["moments"]),
+            surface=rk.Ellipsoid(parameters["semi_axes"]),
+            center_of_mass=parameters["com"],
+        ),
+        rk.Base(rk.Graph(lambda x, y, p: p[0] * x**2 + p[1] * y**2, parameters["bowl"])),
+        loads=(rk.Gravity(parameters["gravity"]),),
+    )
+    contact = jnp.stack([parameters["x"], jnp.zeros(()), parameters["bowl"][0] * parameters["x"] ** 2])
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), parameters["omega"], contact)
+    result = rk.simulate(scene, start, np.linspace(0.0, 0.7, 4), rtol=1e-11)
+    return (
+        jnp.sum(result.position[-1] * jnp.array([1.0, 2.0, 3.0]))
+        + jnp.sum(result.contact_force[2]) * 0.01
+        + result.energy[1]
+    )
+
+
+PARAMETERS = {
+    "mass": jnp.asarray(1.3),
+    "moments": jnp.array([2e-3, 3e-3, 4e-3]),
+    "semi_axes": jnp.array([0.08, 0.06, 0.05]),
+    "com": jnp.array([0.005, -0.002, 0.003]),
+    "bowl": jnp.array([1.2, 0.8]),
+    "gravity": jnp.array([0.1, -0.2, -9.7]),
+    "x": jnp.asarray(0.1),
+    "omega": jnp.array([1.0, 3.0, -2.0]),
+}
+
+
+def test_every_float_of_scene_and_start():
+    """Reverse equals forward equals central differences, leaf by leaf."""
+    value = jax.jit(bowl)
+    ahead = jax.jit(jax.jacfwd(bowl))(PARAMETERS)
+    back = jax.jit(jax.grad(bowl))(PARAMETERS)
+    leaves, tree = jax.tree.flatten(PARAMETERS)
+    for i, (leaf, a, b) in enumerate(
+        zip(leaves, jax.tree.leaves(ahead), jax.tree.leaves(back), strict=True)
+    ):
+        scale = 1e-6 * np.abs(np.asarray(a)).max()
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-3 * scale)
+        for index in np.ndindex(leaf.shape):
+            # fourth-order differences: h^4 and rtol/h errors are both below 1e-7
+            h = 1e-3 * max(1e-3, abs(float(leaf[index])))
+
+            def at(step, leaf=leaf, index=index, i=i, h=h):
+                moved = leaves.copy()
+                moved[i] = leaf.at[index].add(step * h)
+                return float(value(jax.tree.unflatten(tree, moved)))
+
+            slope = (8 * (at(1) - at(-1)) - (at(2) - at(-2))) / (12 * h)
+            assert abs(slope - float(a[index])) <= 1e-6 * abs(slope) + scale
+
+
+def test_batches_of_gradients():
+    """vmap of grad and of jvp equals the loop, lane by lane."""
+    spins = jnp.array([5.0, 6.0, 7.5])
+
+    def f(spin):
+        return x_of_disc(spin, 0.8)
+
+    one = jax.jit(jax.grad(f))
+    looped = jnp.stack([one(s) for s in spins])
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(f)))(spins), looped, rtol=1e-9)
+    tangents = jax.jit(jax.vmap(lambda s: jax.jvp(f, (s,), (1.0,))[1]))(spins)
+    np.testing.assert_allclose(tangents, looped, rtol=1e-9)
+
+
+def test_times_are_differentiated_too():
+    """The slope by the end time is the velocity; by the start time, its opposite."""
+
+    def late(end):
+        return x_of_disc(DISC_SPIN, end)
+
+    def early(begin):
+        scene, start = problems.disc()
+        times = jnp.stack([begin, jnp.asarray(0.4), jnp.asarray(0.9)])
+        return rk.simulate(scene, start, times, rtol=1e-10).position[-1, 0]
+
+    h = 1e-4
+    for f, at in ((late, 0.9), (early, 0.0)):
+        slope = (f(at + h) - f(at - h)) / (2 * h)
+        # differences: h^2 x'''/6 with rates of about 10/s gives 1e-6
+        assert abs(float(jax.grad(f)(at)) - float(slope)) < 1e-5
+        assert abs(float(jax.jacfwd(f)(at)) - float(slope)) < 1e-5
+
+
+def test_second_derivative_forward_over_forward():
+    def f(spin):
+        return x_of_disc(spin, 1.0, 1e-12)
+
+    second = float(jax.jacfwd(jax.jacfwd(f))(DISC_SPIN))
+    first = forward[x_of_disc]
+    h = 1e-3
+    slope = [float(first(DISC_SPIN + s * h, 1.0, 1e-12)[1]) for s in (1, -1)]
+    # central differences of exact first derivatives: h^2 f''''/6, about 1e-6
+    assert abs(second - (slope[0] - slope[1]) / (2 * h)) < 1e-5
+
+
+def test_closure_over_a_traced_number():
+    """A user's function may close over what is differentiated."""
+
+    def end(curvature, explicit):
+        surface = (
+            rk.Graph(lambda x, y, c: c * x**2 + 0.1 * y**2, curvature)
+            if explicit
+            else rk.Graph(lambda x, y: curvature * x**2 + 0.1 * y**2)
+        )
+        scene = rk.Scene(
+            rk.Body(1.0, 0.004 * jnp.eye(3), rk.Sphere(0.1)), rk.Base(surface)
+        )
+        contact = jnp.stack([jnp.asarray(0.1), jnp.zeros(()), 0.01 * curvature])
+        start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0), contact)
+        return rk.simulate(scene, start, (0.0, 0.5)).position[-1, 0]
+
+    hidden = jax.grad(lambda c: end(c, False))(0.5)
+    np.testing.assert_allclose(hidden, jax.grad(lambda c: end(c, True))(0.5), rtol=1e-12)
+
+
+def test_what_was_not_reached_has_no_quiet_derivative():
+    """A run out of steps gives NaN, not zero; what it did reach stays right."""
+
+    def sample(spin, i, max_steps):
+        scene, start = problems.disc(spin)
+        result = rk.simulate(
+            scene, start, (0.0, 0.2, 3.0), rtol=1e-10, max_steps=max_steps
+        )
+        return result.position[i, 0]
+
+    late = jax.grad(lambda s: sample(s, -1, 40))(DISC_SPIN)
+    assert np.isnan(float(late))
+    assert np.isnan(float(jax.jacfwd(lambda s: sample(s, -1, 40))(DISC_SPIN)))
+    reached = jax.grad(lambda s: sample(s, 1, 40))(DISC_SPIN)
+    np.testing.assert_allclose(
+        reached, jax.grad(lambda s: sample(s, 1, None))(DISC_SPIN), rtol=1e-9
+    )
