@@ -234,7 +234,9 @@ def _triangles(points: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
 def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Mean normals of the triangles round each point; seams and poles are closed."""
     finite = np.isfinite(points).all(axis=1)
-    grain = 1e-6 * np.max(np.ptp(points[finite], axis=0), initial=1e-300)
+    if not finite.any():
+        return np.zeros_like(points)
+    grain = 1e-6 * max(np.max(np.ptp(points[finite], axis=0)), 1e-300)
     keys = np.rint(points / grain)
     same = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
     p = points[triangles]
@@ -252,6 +254,8 @@ def _faces(points, normals, touched, outward) -> float:
     some = np.linspace(0, len(touched) - 1, min(len(touched), 64)).astype(int)
     finite = np.isfinite(points).all(axis=1)
     points, normals = points[finite], normals[finite]
+    if not len(points):
+        return 0.0
     gaps = np.linalg.norm(points[None] - touched[some][:, None], axis=-1)
     return float(np.sum(normals[np.argmin(gaps, axis=1)] * outward[some]))
 
@@ -272,27 +276,23 @@ def _cells(places: np.ndarray) -> tuple[int, int]:
 
 def _disc(radius: float, count: int) -> Mesh:
     """A thin lens whose edge is the sharp rim itself."""
-    profile = radius * np.array([[0.0, 0.008], [0.96, 0.008], [1.0, 0.0]])
-    slope = np.array([[0.0, 1.0], [0.0, 1.0], [0.1961, 0.9806]])
     angle = np.linspace(-np.pi, np.pi, count)
-    rings = (0, 1), (1, 2)
+    turn = (angle + np.pi) / (2 * np.pi)
     points, normals, marks, triangles = [], [], [], []
     for side in (1.0, -1.0):
-        for ring in rings:
+        # a flat face and a bevel: radii and heights of both ends, slope of the normal
+        for r, z, lean in (
+            ((0.0, 0.96), (0.008, 0.008), 0.0),
+            ((0.96, 1.0), (0.008, 0.0), 0.2),
+        ):
+            band = [_round(radius * r[k], side * radius * z[k], angle) for k in (0, 1)]
             start = sum(len(p) for p in points)
-            # the bevel has its own normal, so that the rim is seen
-            lean = slope[ring[1]]
-            for k in ring:
-                r, z = profile[k]
-                points.append(_round(r, side * z, angle))
-                normals.append(_round(lean[0], side * lean[1], angle))
-                share = (angle + np.pi) / (2 * np.pi)
-                marks.append(np.stack([share, np.full(count, r / radius)], axis=1))
-            a = start + np.arange(count - 1)
-            quads = (a, a + count, a + count + 1), (a, a + count + 1, a + 1)
-            for quad in quads:
-                corners = np.stack(quad, axis=1)
-                triangles.append(corners if side > 0 else corners[:, ::-1])
+            points.append(np.concatenate(band))
+            normal = _round(lean, side, angle) / np.hypot(lean, 1.0)
+            normals.append(np.tile(normal, (2, 1)))
+            marks.append(np.stack([np.tile(turn, 2), np.repeat(r, count)], axis=1))
+            corners = _triangles(points[-1], (2, count))
+            triangles.append(start + (corners if side > 0 else corners[:, ::-1]))
     return Mesh(
         np.concatenate(points),
         np.concatenate(normals),

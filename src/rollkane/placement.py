@@ -90,6 +90,15 @@ def place(
     )
     on_base = refuse(
         on_base,
+        ~(fit.regular > 1e-3 * loose),
+        "place.contact_on_base",
+        "the chart of a surface is singular where they touch (a pole: two coordinates "
+        "that no longer count)",
+        "describe that surface without poles, for example of_direction=True, or turn "
+        "its chart",
+    )
+    on_base = refuse(
+        on_base,
         ~(jnp.abs(fit.curving) > 100 * jnp.finfo(dtype).eps),
         "place.contact_on_base",
         "the surfaces fit each other here (relative curvature 0): they touch along a "
@@ -137,6 +146,7 @@ class _Fit(eqx.Module):
     nearest: Array  # point of the base next to the asked one [m], base axes
     gap: Array  # distance between the two [m]
     misfit: Array  # angle between wanted and found normal of the body [rad]
+    regular: Array  # least column of a chart against its largest; zero at a pole [1]
     opening: Array  # least relative opening; negative where the body cuts in [1]
     curving: Array  # relative curvature [1]; zero where the surfaces fit each other
 
@@ -171,9 +181,20 @@ def _fit(scene: Scene, orientation: Array, point: Array, edge_normal) -> _Fit:
         nearest=ground.position,
         gap=jax.lax.stop_gradient(norm(point - ground.position)),
         misfit=jnp.where(jnp.all(jnp.isfinite(shell.position)), misfit, jnp.inf),
+        regular=jnp.minimum(_regular(measures[0]), _regular(measures[1])),
         opening=opening,
         curving=curving,
     )
+
+
+def _regular(geometry: LocalGeometry) -> Array:
+    """Least over largest effect of the two coordinates, on point and normal."""
+    effects = [
+        matrix / jnp.maximum(jnp.max(jnp.abs(matrix)), jnp.finfo(matrix.dtype).tiny)
+        for matrix in (geometry.lengths, geometry.frame_rates)
+    ]
+    columns = jnp.linalg.norm(jnp.concatenate(effects), axis=0)
+    return jnp.min(columns) / jnp.max(columns)
 
 
 def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:

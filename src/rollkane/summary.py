@@ -14,6 +14,8 @@ from .trajectory import Trajectory
 
 _MOST_LISTED = 12
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
+_NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
+_CLOSE = 1e-9  # of the spacing of the samples
 
 
 def summary(trajectory: Trajectory) -> list[str]:
@@ -41,8 +43,7 @@ def summary(trajectory: Trajectory) -> list[str]:
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
     lines.append(_line("steps", f"{steps} accepted, {rejected} rejected"))
     if rows.size:
-        mass = float(trajectory.scene.body.mass)
-        lines += _force_lines(motion, mass)
+        lines += _force_lines(trajectory, motion)
     return lines
 
 
@@ -62,24 +63,29 @@ def sign_changes(
         rate: Their rates [unit of the samples / s].
 
     Returns:
-        Times in the order of the samples [s].
+        Times in the order of the samples [s], without the first and the last.
     """
-    found = []
+    found: list[float] = []
     for k, step in enumerate(np.diff(time)):
         a, b = value[k], value[k + 1]
         c, d = step * rate[k], step * rate[k + 1]
-        # extremes of the cubic lie within its Bezier points; most intervals end here
-        ends = np.array([a, a + c / 3, b - d / 3, b])
-        if np.all(ends > 0) or np.all(ends < 0):
+        # the cubic lies between its Bezier points; most intervals end here
+        bounds = np.array([a, a + c / 3, b - d / 3, b])
+        if np.all(bounds > 0) or np.all(bounds < 0):
             continue
         cubic = np.array([2 * (a - b) + c + d, 3 * (b - a) - 2 * c - d, c, a])
         roots = np.roots(cubic)
-        real = np.sort(roots[np.abs(roots.imag) < 1e-9].real)
-        # a zero that is a sample belongs to the interval that it opens
-        inner = real[(real >= 0) & (real < 1)]
-        slopes = np.polyval(np.polyder(cubic), inner)
-        found += [time[k] + x * step for x in inner[slopes != 0]]
-    return np.array(found)
+        real = np.sort(roots[np.abs(roots.imag) < _CLOSE].real)
+        inner = real[(real > -_CLOSE) & (real < 1 + _CLOSE)]
+        for root in inner[np.polyval(np.polyder(cubic), inner) != 0]:
+            when = time[k] + root * step
+            # a sample that is zero is a root of both its intervals
+            if not found or abs(when - found[-1]) > 2 * _CLOSE * abs(step):
+                found.append(when)
+    near_end = _CLOSE * abs(np.diff(time)[[0, -1]])
+    changes = np.array(found)
+    inside = np.abs(changes - time[0]) > near_end[0]
+    return changes[inside & (np.abs(changes - time[-1]) > near_end[1])]
 
 
 def _line(name: str, text: str) -> str:
@@ -104,31 +110,28 @@ def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
     return [*lines, _line("reversals", listed if times.size else "none")]
 
 
-def _force_lines(motion: History, mass: float) -> list[str]:
+def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
     press, time = motion.normal_force, motion.time
-    if np.max(np.abs(motion.contact_force)) <= 1e-12 * mass:
+    mass = float(trajectory.scene.body.mass)
+    if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:
         return [_line("normal force", "none")]
-    pulls = press <= 0
     least = int(np.argmin(press))
     lines = [
         _line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
     ]
-    if np.any(pulls):
-        k = int(np.argmax(pulls))
-        when = time[k]
-        if k:  # a straight line between outputs
-            share = press[k - 1] / (press[k - 1] - press[k])
-            when = time[k - 1] + share * (time[k] - time[k - 1])
+    pull = float(trajectory.first_pull)
+    if not np.isnan(pull):
         lines.append(
-            f"  the contact would have to pull first at t = {when:.4f} s; the run "
+            f"  the contact would have to pull first at t = {pull:.4f} s; the run "
             "assumes that it can"
         )
-    if not np.all(pulls):
+    pressed = press > 0
+    if np.any(pressed):
         tangential = motion.contact_force - press[:, None] * motion.outward
-        ratio = np.linalg.norm(tangential, axis=1) / np.where(pulls, np.inf, press)
+        ratio = np.linalg.norm(tangential, axis=1) / np.where(pressed, press, np.inf)
         most = int(np.argmax(ratio))
         text = f"{ratio[most]:.4g} at most, t = {time[most]:.4g} s"
-        if np.any(pulls):
+        if not np.all(pressed):
             text += " (while pressed together)"
         lines.append(_line("friction needed", text))
     return lines

@@ -80,9 +80,9 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
         ``title``, ``note`` (why the run ended early), ``size`` of the body [m],
         ``force`` (a usual contact force [N]), ``frames`` (a :class:`History` column
         each), ``body`` and ``base`` (meshes; ``{"plane": True}`` for a plane, None for
-        a surface whose chart has no point). Arrays are written as ``type``, ``shape``
-        and ``data`` (base64, little endian); ``points`` of a mesh are 65535ths of the
-        box from ``low`` to ``high`` [m].
+        a surface whose chart has no point). Arrays are written as ``type``, ``unit``,
+        ``shape`` and ``data`` (base64, little endian, in that unit); ``points`` of a
+        mesh are shares of the box from ``low`` to ``high`` [m].
 
     Raises:
         FieldError: a batch, or a run of which no state is finite.
@@ -122,10 +122,11 @@ def _frames(motion: History) -> dict:
     thin = motion.rows(kept)
     columns = {name: thin._asdict()[name] for name in History._fields[:-1]}
     columns["energy"] = motion.energy_error[kept]
-    return {
-        name: _packed(column, "float64" if name == "time" else "float32")
-        for name, column in columns.items()
-    }
+    packed = {name: _packed(column, "float32") for name, column in columns.items()}
+    packed["time"] = _packed(thin.time, "float64")
+    for name in ("outward", "body_outward"):  # only lift the traces off the surfaces
+        packed[name] = _packed(columns[name], "int16", 1 / 32767)
+    return packed
 
 
 def _body_mesh(trajectory: Trajectory, motion: History, size: float) -> Mesh:
@@ -157,20 +158,24 @@ def _mesh_data(mesh: Mesh) -> dict | None:
     return {
         "low": low.tolist(),
         "high": high.tolist(),
-        "points": _packed(np.rint(65535 * shares), "uint16"),
-        "normals": _packed(np.rint(127 * mesh.normals), "int8"),
-        "marks": _packed(np.rint(65535 * mesh.marks), "uint16"),
+        "points": _packed(shares, "uint16", 1 / 65535),
+        "normals": _packed(mesh.normals, "int8", 1 / 127),
+        "marks": _packed(mesh.marks, "uint16", 1 / 65535),
         "triangles": _packed(mesh.triangles, "uint16"),
         "cells": list(mesh.cells),
         "hollow": bool(out < 0),
     }
 
 
-def _packed(array: np.ndarray, dtype: str) -> dict:
-    with np.errstate(over="ignore"):
+def _packed(array: np.ndarray, dtype: str, unit: float = 1.0) -> dict:
+    """An array for JSON; as whole numbers of a unit where dtype is one of integers."""
+    if unit != 1.0:
+        array = np.rint(array / unit)
+    with np.errstate(over="ignore"):  # what single precision cannot hold is infinite
         narrow = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
     return {
         "type": dtype,
+        "unit": unit,
         "shape": list(narrow.shape),
         "data": base64.b64encode(narrow.tobytes()).decode("ascii"),
     }

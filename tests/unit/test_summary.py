@@ -1,7 +1,6 @@
 """The summary of a run, and where a sampled function changes its sign."""
 
 import numpy as np
-import pytest
 
 from rollkane.scene_files import load_scene
 from rollkane.simulation import simulate
@@ -33,24 +32,23 @@ def test_a_touch_and_a_sample_at_zero():
     assert sign_changes(time, (time - 1) ** 2, 2 * (time - 1)).size == 0
     np.testing.assert_array_equal(sign_changes(time, time - 1, np.ones(3)), [1.0])
     assert sign_changes(time, np.zeros(3), np.zeros(3)).size == 0
+    # nothing changes its sign before the first or after the last sample
+    assert sign_changes(time, time, np.ones(3)).size == 0
+    assert sign_changes(time, time - 2, np.ones(3)).size == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "duration", "wanted"),
-    [
-        (
-            "rattleback",
-            3.0,
-            ["spin +4.99962 ->", "reversals 2.7611, 2.7803,", "friction needed 0.7"],
-        ),
-        ("ball-on-plane", 1.0, ["spin +2 -> +2 rad/s", "reversals none", "9.81 N at"]),
-    ],
-)
-def test_summary(name, duration, wanted):
-    file = load_scene(name)
-    times = np.linspace(0, duration, int(100 * duration) + 1)
+def test_summary():
+    file = load_scene("rattleback")
+    times = np.linspace(0, 3, 301)
     text = "\n".join(summary(simulate(file.scene, file.start, times, rtol=1e-10)))
     text = " ".join(text.split())
-    for part in (*wanted, "energy drift", "accepted,"):
+    for part in (
+        "spin +4.99962 ->",
+        "reversals 2.7611, 2.7803,",
+        "energy drift",
+        "accepted,",
+        "normal force 1.683 N at least, t = 2.49 s",
+        "friction needed 0.7608 at most, t = 0.45 s",
+    ):
         assert part in text
     assert "pull" not in text

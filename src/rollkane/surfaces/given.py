@@ -238,6 +238,10 @@ class Implicit(AbstractPointSurface):
         del u
         return travel(geometry, x)
 
+    def settled(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point, moved onto the surface [m]."""
+        return self.onto(u)
+
     def _along_ray(self, direction: Float[Array, "3"]) -> Float[Array, "3"]:
         """First surface point from the centre along a direction; NaN if there is none."""
         steps = jnp.linspace(0.0, 1.0, 65, dtype=self.size.dtype)[1:] * self.size

@@ -140,8 +140,7 @@ class AbstractPointSurface(AbstractSurface):
         """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
         seeds = jnp.asarray(self.samples(), dtype=point.dtype)
         fixed = jax.lax.stop_gradient(point)
-        places = jax.vmap(lambda u: self.geometry(u).position)(seeds)
-        gaps = jnp.sum((places - fixed) ** 2, axis=1)
+        gaps = jax.vmap(lambda u: norm(self.geometry(u).position - fixed))(seeds)
         seed = seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
 
         def towards(target):
@@ -188,12 +187,16 @@ class AbstractPointSurface(AbstractSurface):
             x = step(geometry)
             x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
             x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
-            return u + self.coordinate_rates(u, geometry, x)
+            return self.settled(u + self.coordinate_rates(u, geometry, x))
 
         u = jax.lax.fori_loop(0, 60, lambda _, u: advance(u, step_to_fixed), seed)
         u = jax.lax.stop_gradient(u)
         for _ in range(2):
             u = advance(u, step_to_moving)
+        return u
+
+    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Coordinates brought back to their manifold after a finite step."""
         return u
 
     def _search_step(self) -> Float[Array, ""]:

@@ -8,12 +8,14 @@ rollkane.unpack = (packed) => {
   const types = {
     float64: Float64Array,
     float32: Float32Array,
+    int16: Int16Array,
     uint16: Uint16Array,
     int8: Int8Array,
   };
   const text = atob(packed.data);
   const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
-  return new types[packed.type](bytes.buffer);
+  const values = new types[packed.type](bytes.buffer);
+  return packed.unit === 1 ? values : Float32Array.from(values, (x) => packed.unit * x);
 };
 
 rollkane.quaternions = {

@@ -63,17 +63,17 @@ rollkane.lattice = ([columns, rows]) => {
 
 rollkane.geometry = (mesh) => {
   const geometry = new THREE.BufferGeometry();
-  const put = (name, values, width, normalized) =>
-    geometry.setAttribute(name, new THREE.BufferAttribute(values, width, normalized));
+  const put = (name, values, width) =>
+    geometry.setAttribute(name, new THREE.BufferAttribute(values, width));
   // points come as shares of their box
   const { low, high } = mesh;
   const points = Float32Array.from(
     rollkane.unpack(mesh.points),
-    (x, i) => low[i % 3] + (x / 65535) * (high[i % 3] - low[i % 3]),
+    (x, i) => low[i % 3] + x * (high[i % 3] - low[i % 3]),
   );
-  put("position", points, 3, false);
-  put("normal", rollkane.unpack(mesh.normals), 3, true);
-  put("uv", rollkane.unpack(mesh.marks), 2, true);
+  put("position", points, 3);
+  put("normal", rollkane.unpack(mesh.normals), 3);
+  put("uv", rollkane.unpack(mesh.marks), 2);
   geometry.setIndex(new THREE.BufferAttribute(rollkane.unpack(mesh.triangles), 1));
   return geometry;
 };

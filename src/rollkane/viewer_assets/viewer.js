@@ -180,7 +180,7 @@ rollkane.frame = (motion, size) => {
   }
   const across = Math.hypot(facing[0], facing[1]);
   const turn = (across > 0.1 ? Math.atan2(facing[1], facing[0]) : -Math.PI / 2) + 0.45;
-  const lift = Math.min(Math.max(Math.atan2(facing[2], across), 0.15), 0.55);
+  const lift = Math.min(Math.max(Math.atan2(facing[2], across), 0.15), 0.62);
   const [c, s, C, S] = [Math.cos(lift), Math.sin(lift), Math.cos(turn), Math.sin(turn)];
   const eye = [c * C, c * S, s];
   const axes = [[-S, C, 0], [-s * C, -s * S, c], eye];
