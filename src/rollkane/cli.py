@@ -36,6 +36,7 @@ class _Positive(click.ParamType):
     name = "number"
 
     def convert(self, value, param, ctx) -> float:
+        """The number that an option gives, or click's usage error."""
         try:
             number = float(value)
         except ValueError:
@@ -118,8 +119,7 @@ def simulate(
         for line in (*summary(result), timing):
             click.echo(line)
     for name, target in targets.items():
-        _write(name, result, target, file.title)
-        if not quiet:
+        if _write(name, result, target, file.title) and not quiet:
             click.echo(f"  wrote {target}")
     if int(result.code):
         click.echo(
@@ -243,11 +243,18 @@ def _refuse(option: str, message: str) -> None:
     raise click.BadParameter(message, param_hint=f"'{option}'")
 
 
-def _write(name: str, result: Any, target: Path, title: str) -> None:
+def _write(name: str, result: Any, target: Path, title: str) -> bool:
+    """Whether the file could be made: a run without any state shows nothing."""
+    from .checks import FieldError
+
     try:
         _writer(name)(result, target, title)
+    except FieldError as error:
+        click.echo(f"error: did not write {target}: {error}", err=True)
+        return False
     except OSError as error:
         raise click.ClickException(f"cannot write {target}: {error}") from error
+    return True
 
 
 def _writer(name: str) -> Callable[[Any, Path, str], None]:

@@ -72,14 +72,6 @@ def place(
     ]
 
     fit = _fit(scene, orientation, point, edge_normal)
-    on_base = refuse(
-        fit.on_base,
-        ~(fit.gap <= loose * (1.0 + norm(jax.lax.stop_gradient(point)))),
-        "place.contact_on_base",
-        f"{_list(point)} is off the base's surface, whose nearest point is "
-        f"{_list(fit.nearest)}",
-        "give a point of the surface [m], in base axes",
-    )
     orientation = refuse(
         orientation / norm(orientation),
         ~(fit.misfit <= loose),
@@ -88,31 +80,7 @@ def place(
         "normal that the contact needs",
         "turn the body, or (for a surface by your own function) widen its domain",
     )
-    on_base = refuse(
-        on_base,
-        ~(fit.regular > 1e-3 * loose),
-        "place.contact_on_base",
-        "the chart of a surface is singular where they touch (a pole: two coordinates "
-        "that no longer count)",
-        "describe that surface without poles, for example of_direction=True, or turn "
-        "its chart",
-    )
-    on_base = refuse(
-        on_base,
-        ~(jnp.abs(fit.curving) > 100 * jnp.finfo(dtype).eps),
-        "place.contact_on_base",
-        "the surfaces fit each other here (relative curvature 0): they touch along a "
-        "line or an area, and the contact point is not determined",
-        "turn the body, move the contact, or change a radius",
-    )
-    on_base = refuse(
-        on_base,
-        ~(fit.opening > -1e4 * jnp.finfo(dtype).eps),
-        "place.contact_on_base",
-        "the body would cut into the base here, which bends towards the body more "
-        "sharply than the body itself",
-        "use a smaller body or a flatter base, or turn the inside of one round",
-    )
+    on_base = _checked_contact(fit, point, loose)
     rotation = rotation_matrix(orientation)
     return State(
         orientation=orientation,
@@ -121,6 +89,45 @@ def place(
         contact_on_body=fit.on_body,
         alpha=numbers[0],
         alpha_dot=numbers[1],
+    )
+
+
+def _checked_contact(fit: "_Fit", point: Array, loose: float) -> Array:
+    """Contact coordinates on the base, unless the two surfaces cannot touch there."""
+    field = "place.contact_on_base"
+    on_base = refuse(
+        fit.on_base,
+        ~(fit.gap <= loose * (1.0 + norm(jax.lax.stop_gradient(point)))),
+        field,
+        f"{_list(point)} is off the base's surface, whose nearest point is "
+        f"{_list(fit.nearest)}",
+        "give a point of the surface [m], in base axes",
+    )
+    on_base = refuse(
+        on_base,
+        ~(fit.regular > 1e-3 * loose),
+        field,
+        "the chart of a surface is singular where they touch (a pole: two coordinates "
+        "that no longer count)",
+        "describe that surface without poles, for example of_direction=True, or turn "
+        "its chart",
+    )
+    rounding = jnp.finfo(point.dtype).eps
+    on_base = refuse(
+        on_base,
+        ~(jnp.abs(fit.curving) > 100 * rounding),  # a determinant of unit columns
+        field,
+        "the surfaces fit each other here (relative curvature 0): they touch along a "
+        "line or an area, and the contact point is not determined",
+        "turn the body, move the contact, or change a radius",
+    )
+    return refuse(
+        on_base,
+        ~(fit.opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
+        field,
+        "the body would cut into the base here, which bends towards the body more "
+        "sharply than the body itself",
+        "use a smaller body or a flatter base, or turn the inside of one round",
     )
 
 

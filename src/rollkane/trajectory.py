@@ -154,6 +154,39 @@ class Trajectory(eqx.Module):
         """Their rates [1/s], shape (T, n)."""
         return self.state.alpha_dot
 
+    def to_xarray(self):
+        """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""
+        from .export import to_xarray
+
+        return to_xarray(self)
+
+    def plot(self, path=None, title: str = ""):
+        """Spin, tilt, energy error and normal force against time (extra ``plot``).
+
+        Args:
+            path: PNG file to write; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from .plotting import figure_overview, plot_overview
+
+        if path is None:
+            return figure_overview(self, title=title)
+        return plot_overview(self, path, title=title)
+
+    def view(self, path, title: str = "") -> None:
+        """Write one self-contained page that shows the motion in three dimensions.
+
+        Args:
+            path: HTML file to write; opens from disk, without a network.
+            title: Of the page.
+        """
+        from .viewer import write_view
+
+        write_view(self, path, title=title)
+
 
 def energy(scene: Scene, state: State) -> Float[Array, ""]:
     """Kinetic plus potential energy of one state [J]."""

@@ -77,12 +77,13 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
         title: Heading of the page.
 
     Returns:
-        ``title``, ``note`` (why the run ended early), ``size`` of the body [m],
-        ``force`` (a usual contact force [N]), ``frames`` (a :class:`History` column
-        each), ``body`` and ``base`` (meshes; ``{"plane": True}`` for a plane, None for
-        a surface whose chart has no point). Arrays are written as ``type``, ``unit``,
-        ``shape`` and ``data`` (base64, little endian, in that unit); ``points`` of a
-        mesh are shares of the box from ``low`` to ``high`` [m].
+        ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
+        its origin [m]), ``force`` (a usual contact force [N]), ``frames`` (columns of
+        :class:`History`, with ``energy`` as the relative error), ``body`` and ``base``
+        (meshes; ``{"plane": True}`` for a plane, None for a surface whose chart has no
+        point). Arrays are written as ``type``, ``unit``, ``shape`` and ``data``
+        (base64, little endian, in that unit); ``points`` of a mesh are shares of the
+        box from ``low`` to ``high`` [m].
 
     Raises:
         FieldError: a batch, or a run of which no state is finite.
@@ -99,6 +100,9 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
     motion = motion.rows(reached)
     scene = trajectory.scene
     size = body_size(scene.body, motion.contact_on_body)
+    body = _body_mesh(trajectory, motion, size)
+    if body.points.size:
+        size = float(np.max(np.linalg.norm(body.points, axis=1)))
     forces = np.linalg.norm(motion.contact_force, axis=1)
     note = ""
     if not bool(trajectory.succeeded):
@@ -110,7 +114,7 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
         "size": size,
         "force": float(np.nanmedian(forces)) if np.isfinite(forces).any() else 1.0,
         "frames": _frames(motion),
-        "body": _mesh_data(_body_mesh(trajectory, motion, size)),
+        "body": _mesh_data(body),
         "base": _base_data(trajectory, motion, size),
     }
 

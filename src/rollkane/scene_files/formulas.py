@@ -146,12 +146,14 @@ class _Reader:
     parameters: tuple[str, ...]
 
     def refuse(self, node: ast.AST, problem: str, remedy: str) -> NoReturn:
+        """Raise, pointing at a node."""
         # the parser counts bytes of UTF-8, a caret needs characters
         encoded = self.text.strip().encode()[: getattr(node, "col_offset", 0)]
         shift = self.lead + len(encoded.decode(errors="ignore"))
         raise FormulaError(problem, remedy, shift)
 
     def check(self, node: ast.AST) -> None:
+        """Refuse a node, or anything below it, that is not arithmetic."""
         match node:
             case ast.Constant():
                 self.check_number(node)
@@ -174,6 +176,7 @@ class _Reader:
                 self.refuse(node, "holds something that is not arithmetic", remedy)
 
     def check_number(self, node: ast.Constant) -> None:
+        """Refuse text, truth values, complex and infinite numbers."""
         value = node.value
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             self.refuse(node, f"holds {value!r}, not a number", "write a real number")
@@ -185,6 +188,7 @@ class _Reader:
             self.refuse(node, "holds a number too large", "write a smaller one")
 
     def check_name(self, node: ast.Name) -> None:
+        """Refuse names that stand for nothing."""
         known = (*self.coordinates, *self.parameters, *CONSTANTS)
         if node.id in FUNCTIONS:
             remedy = f"write its argument: {node.id}(...)"
@@ -198,6 +202,7 @@ class _Reader:
             )
 
     def check_call(self, node: ast.Call) -> None:
+        """Refuse all calls but those of a known function with one argument."""
         name = node.func.id if isinstance(node.func, ast.Name) else None
         if name is None:
             self.refuse(

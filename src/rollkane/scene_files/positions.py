@@ -59,6 +59,7 @@ class _Scanner:
         self.array_lengths: dict[Path, int] = {}
 
     def document(self) -> None:
+        """The whole text: headers, and keys with values."""
         table: Path = ()
         self.skip(_BLANK)
         while self.at < len(self.text):
@@ -69,6 +70,7 @@ class _Scanner:
             self.skip(_BLANK)
 
     def skip(self, pattern: re.Pattern) -> str:
+        """Go on behind what a pattern matches here; its text."""
         match = pattern.match(self.text, self.at)
         assert match is not None  # every pattern used here matches the empty string
         self.at = match.end()
@@ -100,6 +102,7 @@ class _Scanner:
         return table if length is None else (*table, length - 1)
 
     def key_value(self, table: Path) -> None:
+        """``a.b = value``, in a table."""
         start = self.at
         names = self.dotted_key()
         self.skip(_SPACE)
@@ -114,6 +117,7 @@ class _Scanner:
         self.places[path] = Place(start, value, self.at)
 
     def dotted_key(self) -> list[str]:
+        """``a.b."c d"``: its names."""
         names = [self.key()]
         self.skip(_SPACE)
         while self.text.startswith(".", self.at):
@@ -124,6 +128,7 @@ class _Scanner:
         return names
 
     def key(self) -> str:
+        """One name, bare or quoted."""
         if self.text[self.at] in "\"'":
             start = self.at
             self.string()
@@ -131,6 +136,7 @@ class _Scanner:
         return self.skip(_BARE_KEY)
 
     def value(self, path: Path) -> None:
+        """Any value; notes its place and those of what it holds."""
         start, first = self.at, self.text[self.at]
         if first in "\"'":
             self.string()
@@ -139,14 +145,11 @@ class _Scanner:
         elif first == "{":
             self.inline_table(path)
         else:
-            self.at += len(self.skip_scalar().rstrip())
+            self.at = start + len(self.skip(_SCALAR).rstrip())
         self.places[path] = Place(start, start, self.at)
 
-    def skip_scalar(self) -> str:
-        match = _SCALAR.match(self.text, self.at)
-        return match.group() if match else ""
-
     def array(self, path: Path) -> None:
+        """``[1, 2]``, with its elements."""
         self.at += 1
         self.skip(_BLANK)
         index = 0
@@ -160,6 +163,7 @@ class _Scanner:
         self.at += 1
 
     def inline_table(self, path: Path) -> None:
+        """``{ a = 1 }``, with its keys."""
         self.at += 1
         self.skip(_BLANK)
         while self.text[self.at] != "}":
@@ -171,6 +175,7 @@ class _Scanner:
         self.at += 1
 
     def string(self) -> None:
+        """A string in one of the four kinds of quotes."""
         quote = self.text[self.at]
         mark = quote * 3 if self.text.startswith(quote * 3, self.at) else quote
         self.at += len(mark)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..checks import FieldError, flag, is_traced, positive, real, refuse
 from ..geometry import LocalGeometry, from_height
-from ..small_linear import components, dot, norm
+from ..small_linear import components, dot, inverse_sqrt, norm
 from .kinds import AbstractNormalSurface, AbstractPairSurface, PointOfNormal
 
 Range = tuple[tuple[float, float], tuple[float, float]]
@@ -129,8 +129,8 @@ class Ellipsoid(AbstractNormalSurface):
     def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
         """Gradient of the support function sqrt(n . A n), A = diag(semi_axes^2) [m]."""
         stretched = self.semi_axes * self.semi_axes * normal
-        support = jnp.sqrt(dot(normal, stretched))
-        return self.center + stretched / (-support if self.inside else support)
+        inverse = inverse_sqrt(dot(normal, stretched))
+        return self.center + stretched * (-inverse if self.inside else inverse)
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         """Outward normal of the ellipsoid through the point with the same axes [1]."""
@@ -144,7 +144,7 @@ def _around_rim(major: Array, minor: Array | float, normal: Array) -> Array:
     Free of trigonometry, and the same code for both (design, section 3).
     """
     n1, n2, n3 = components(normal)
-    stretch = major / jnp.sqrt(n1 * n1 + n2 * n2) + minor
+    stretch = major * inverse_sqrt(n1 * n1 + n2 * n2) + minor
     return jnp.stack([n1 * stretch, n2 * stretch, n3 * minor])
 
 
@@ -171,7 +171,7 @@ class DiscEdge(AbstractNormalSurface):
     def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
         """Rim point below the normal's part in the plane of the disc [m]."""
         n1, n2, _ = components(normal)
-        stretch = self.radius / jnp.sqrt(n1 * n1 + n2 * n2)
+        stretch = self.radius * inverse_sqrt(n1 * n1 + n2 * n2)
         return jnp.stack([n1 * stretch, n2 * stretch, jnp.zeros_like(stretch)])
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:

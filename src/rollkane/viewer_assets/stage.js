@@ -61,17 +61,18 @@ rollkane.lattice = ([columns, rows]) => {
   return texture;
 };
 
+// Points of a mesh [m]; they come as shares of their box.
+rollkane.points = (mesh) =>
+  Float32Array.from(
+    rollkane.unpack(mesh.points),
+    (x, i) => mesh.low[i % 3] + x * (mesh.high[i % 3] - mesh.low[i % 3]),
+  );
+
 rollkane.geometry = (mesh) => {
   const geometry = new THREE.BufferGeometry();
   const put = (name, values, width) =>
     geometry.setAttribute(name, new THREE.BufferAttribute(values, width));
-  // points come as shares of their box
-  const { low, high } = mesh;
-  const points = Float32Array.from(
-    rollkane.unpack(mesh.points),
-    (x, i) => low[i % 3] + x * (high[i % 3] - low[i % 3]),
-  );
-  put("position", points, 3);
+  put("position", rollkane.points(mesh), 3);
   put("normal", rollkane.unpack(mesh.normals), 3);
   put("uv", rollkane.unpack(mesh.marks), 2);
   geometry.setIndex(new THREE.BufferAttribute(rollkane.unpack(mesh.triangles), 1));
@@ -206,6 +207,12 @@ rollkane.Arrow = class {
     });
   }
 
+  show(on) {
+    for (const { pair } of this.parts) {
+      for (const part of pair) part.visible = on;
+    }
+  }
+
   point(origin, vector, pulls) {
     const length = Math.hypot(...vector);
     this.group.visible = Number.isFinite(length) && length > 1e-9 * this.size;
@@ -245,7 +252,13 @@ rollkane.Stage = class {
       this.path("contact_on_body", "body_outward"), colors.bodyTrace);
     this.body.add(this.onBody.group);
     this.contact = this.marker();
-    this.arrow = new rollkane.Arrow(data.size);
+    // a usual force reaches beyond the body: twice its arm, and some more
+    const arms = [...Array(motion.count).keys()].map((k) => {
+      const contact = motion.row("contact_on_base", k);
+      return Math.hypot(...motion.row("position", k).map((x, i) => x - contact[i]));
+    });
+    this.reach = 2 * (arms.reduce((sum, x) => sum + x, 0) / motion.count) + 0.4 * data.size;
+    this.arrow = new rollkane.Arrow(0.5 * this.reach);
     this.scene.add(this.body, this.onBase.group, this.contact, this.arrow.group);
   }
 
@@ -318,8 +331,8 @@ rollkane.Stage = class {
     this.contact.position.set(...state.contact_on_base);
     this.onBase.show(state.frame, this.lifted(state.contact_on_base, state.outward));
     this.onBody.show(state.frame, this.lifted(state.contact_on_body, state.body_outward));
-    const scale = (1.8 * this.size) / this.usualForce;
-    const longest = 5 * this.size;
+    const scale = this.reach / this.usualForce;
+    const longest = 3 * this.reach;
     const length = scale * Math.hypot(...state.contact_force);
     const cut = length > longest ? longest / length : 1;
     this.arrow.point(

@@ -1,179 +1,217 @@
 // Panel, slider, clock and camera. Runs last.
 "use strict";
 
-rollkane.run = () => {
-  const element = (id) => document.getElementById(id);
-  const data = JSON.parse(element("rollkane-data").textContent);
-  const motion = new rollkane.Motion(data.frames);
-  const box = rollkane.frame(motion, data.size);
-  element("note").textContent = data.note;
+// Finds an element of the page by its name.
+rollkane.element = (id) => document.getElementById(id);
 
-  let renderer;
-  try {
-    renderer = new THREE.WebGLRenderer({
-      canvas: element("stage"),
-      antialias: true,
-      alpha: true,
+rollkane.Player = class {
+  constructor(data, renderer) {
+    this.size = data.size;
+    this.motion = new rollkane.Motion(data.frames);
+    this.box = rollkane.frame(this.motion, rollkane.corners(data));
+    this.stage = new rollkane.Stage(data, this.motion, this.box);
+    this.renderer = renderer;
+    this.camera = new THREE.PerspectiveCamera(32, 1, 1, 10);
+    this.camera.up.set(0, 0, 1);
+    this.controls = new THREE.OrbitControls(this.camera, renderer.domElement);
+    this.elapsed = 0; // seconds of the motion since its first frame
+    this.playing = false;
+    this.last = 0; // when the picture before was drawn [ms]
+    this.asked = false; // whether a picture is on its way
+  }
+
+  get follows() {
+    return rollkane.element("follow").checked;
+  }
+
+  draw() {
+    // the depth range follows the camera: near things and far ones stay apart
+    const distance = this.camera.position.distanceTo(this.controls.target);
+    this.camera.near = distance / 100;
+    this.camera.far = distance + 12 * this.box.radius;
+    this.camera.updateProjectionMatrix();
+    this.renderer.render(this.stage.scene, this.camera);
+  }
+
+  ask() {
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame((now) => {
+      this.asked = false;
+      this.advance(now);
+      this.draw();
     });
+  }
+
+  advance(now) {
+    if (!this.playing) return;
+    const passed = Math.min((now - this.last) / 1000, 0.2);
+    this.last = now;
+    this.elapsed += passed * Number(rollkane.element("speed").value);
+    if (this.elapsed < this.motion.duration) this.show();
+    else this.jump(this.motion.duration);
+  }
+
+  // Put everything where it is at the present time.
+  show() {
+    const state = this.motion.state(this.elapsed);
+    if (this.follows) {
+      const shift = new THREE.Vector3(...state.position).sub(this.stage.body.position);
+      this.camera.position.add(shift);
+      this.controls.target.add(shift);
+      this.controls.update();
+    }
+    this.stage.show(state);
+    rollkane.write(state);
+    rollkane.element("slider").value = this.elapsed;
+    this.ask();
+  }
+
+  play(on) {
+    if (on && this.elapsed >= this.motion.duration) this.elapsed = 0;
+    this.playing = on && this.motion.duration > 0;
+    this.last = performance.now();
+    rollkane.element("play").textContent = this.playing ? "\u275a\u275a" : "\u25b6";
+    this.show();
+  }
+
+  jump(elapsed) {
+    this.elapsed = Math.min(Math.max(elapsed, 0), this.motion.duration);
+    this.play(false);
+  }
+
+  jumpToFrame(frame) {
+    this.jump(this.motion.elapsed(Math.min(Math.max(frame, 0), this.motion.count - 1)));
+  }
+
+  // Look at all of the motion, or, while following, at the body.
+  look() {
+    const { box, camera, controls } = this;
+    const slope = Math.tan((camera.fov * Math.PI) / 360);
+    const [across, high, deep] = this.follows
+      ? box.half.map((x) => Math.min(x, 4 * this.size))
+      : box.half;
+    const distance = deep + Math.max(high, across / camera.aspect) / (0.76 * slope);
+    const target = this.follows ? this.stage.body.position.toArray() : box.center;
+    controls.target.set(...target);
+    camera.position.set(...target.map((x, i) => x + distance * box.eye[i]));
+    controls.minDistance = 0.5 * this.size;
+    controls.maxDistance = 12 * box.radius;
+    controls.update();
+    this.ask();
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.renderer.domElement;
+    this.renderer.setSize(clientWidth, clientHeight, false);
+    this.camera.aspect = clientWidth / Math.max(clientHeight, 1);
+    this.camera.updateProjectionMatrix();
+    this.ask();
+  }
+
+  // Behind the page's name: "#frame=N" stops there, "&follow", "&force" switch these on.
+  // Returns whether a frame was asked for.
+  obey() {
+    const wish = new URLSearchParams(window.location.hash.slice(1));
+    for (const name of ["follow", "force"]) {
+      if (wish.has(name)) rollkane.element(name).checked = wish.get(name) !== "0";
+    }
+    this.stage.arrow.show(rollkane.element("force").checked);
+    const frame = Number(wish.get("frame"));
+    if (!wish.has("frame") || !Number.isInteger(frame)) return false;
+    this.jumpToFrame(frame);
+    return true;
+  }
+};
+
+rollkane.renderer = () => {
+  const canvas = rollkane.element("stage");
+  try {
+    const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    renderer.shadowMap.enabled = true;
+    renderer.shadowMap.type = THREE.PCFShadowMap;
+    renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
+    return renderer;
   } catch {
+    return null;
+  }
+};
+
+rollkane.run = () => {
+  const { element } = rollkane;
+  const data = JSON.parse(element("rollkane-data").textContent);
+  element("note").textContent = data.note;
+  const renderer = rollkane.renderer();
+  if (!renderer) {
     element("note").textContent = "This browser cannot draw in three dimensions (WebGL).";
     return;
   }
-  renderer.shadowMap.enabled = true;
-  renderer.shadowMap.type = THREE.PCFShadowMap;
-  renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
-
-  const stage = new rollkane.Stage(data, motion, box);
-  const camera = new THREE.PerspectiveCamera(32, 1, 1, 10);
-  camera.up.set(0, 0, 1);
-  const controls = new THREE.OrbitControls(camera, renderer.domElement);
-  const clock = { elapsed: 0, playing: false, last: 0 };
-  let asked = false;
-
-  const draw = () => {
-    // the depth range follows the camera: near things and far ones stay apart
-    const distance = camera.position.distanceTo(controls.target);
-    camera.near = distance / 100;
-    camera.far = distance + 12 * box.radius;
-    camera.updateProjectionMatrix();
-    renderer.render(stage.scene, camera);
-  };
-  const ask = () => {
-    if (asked) return;
-    asked = true;
-    requestAnimationFrame((now) => {
-      asked = false;
-      advance(now);
-    });
-  };
-
-  const show = () => {
-    const state = motion.state(clock.elapsed);
-    if (element("follow").checked) {
-      const shift = new THREE.Vector3(...state.position).sub(stage.body.position);
-      camera.position.add(shift);
-      controls.target.add(shift);
-      controls.update();
-    }
-    stage.show(state);
-    rollkane.write(element, state);
-    element("slider").value = clock.elapsed;
-    ask();
-  };
-  const advance = (now) => {
-    if (clock.playing) {
-      const passed = Math.min((now - clock.last) / 1000, 0.2);
-      clock.last = now;
-      clock.elapsed += passed * Number(element("speed").value);
-      if (clock.elapsed >= motion.duration) {
-        clock.elapsed = motion.duration;
-        play(false);
-      }
-      show();
-    }
-    draw();
-  };
-  const play = (on) => {
-    if (on && clock.elapsed >= motion.duration) clock.elapsed = 0;
-    clock.playing = on && motion.duration > 0;
-    clock.last = performance.now();
-    element("play").textContent = clock.playing ? "\u275a\u275a" : "\u25b6";
-    show();
-  };
-  const look = () => {
-    const slope = Math.tan((camera.fov * Math.PI) / 360);
-    const [across, high, deep] = element("follow").checked
-      ? box.half.map((x) => Math.min(x, 4 * data.size))
-      : box.half;
-    const distance = deep + Math.max(high, across / camera.aspect) / (0.8 * slope);
-    const target = element("follow").checked ? stage.body.position.toArray() : box.center;
-    controls.target.set(...target);
-    camera.position.set(...target.map((x, i) => x + distance * box.eye[i]));
-    controls.minDistance = 0.5 * data.size;
-    controls.maxDistance = 12 * box.radius;
-    controls.update();
-    ask();
-  };
-  const resize = () => {
-    const { clientWidth, clientHeight } = renderer.domElement;
-    renderer.setSize(clientWidth, clientHeight, false);
-    camera.aspect = clientWidth / Math.max(clientHeight, 1);
-    camera.updateProjectionMatrix();
-    ask();
-  };
-  const jump = (elapsed) => {
-    clock.elapsed = Math.min(Math.max(elapsed, 0), motion.duration);
-    play(false);
-  };
-  // "#frame=N" stops there, "&follow", "&force" switch these on
-  const obey = () => {
-    const wish = new URLSearchParams(window.location.hash.slice(1));
-    for (const name of ["follow", "force"]) {
-      if (wish.has(name)) element(name).checked = wish.get(name) !== "0";
-    }
-    stage.arrow.parts.forEach(({ pair }) =>
-      pair.forEach((part) => { part.visible = element("force").checked; }));
-    const frame = Number(wish.get("frame"));
-    if (!wish.has("frame") || !Number.isInteger(frame)) return false;
-    jump(motion.elapsed(Math.min(Math.max(frame, 0), motion.count - 1)));
-    return true;
-  };
-
-  rollkane.listen({ element, stage, motion, clock, show, play, jump, look, ask, obey });
-  rollkane.speeds(element("speed"), motion.duration);
+  const player = new rollkane.Player(data, renderer);
+  const { motion, stage, box } = player;
   element("slider").max = motion.duration;
-  element("grid-row").hidden = stage.spacing === 0;
-  const [factor, unit] = stage.spacing < 0.1 ? [1000, "mm"] : [1, "m"];
-  element("grid").textContent = String(Number((factor * stage.spacing).toPrecision(3)));
-  element("grid-unit").textContent = unit;
   element("follow").checked = box.radius > 15 * data.size;
-  controls.addEventListener("change", ask);
-  window.addEventListener("resize", resize);
+  rollkane.speeds(element("speed"), motion.duration);
+  rollkane.writeGrid(stage.spacing);
+  rollkane.listen(player);
 
   stage.show(motion.state(0));
-  resize();
-  const still = obey();
-  look();
+  player.resize();
+  const still = player.obey();
+  player.look();
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
-  if (!still) play(!calm);
-  draw();
+  if (!still) player.play(!calm);
+  player.draw();
 };
 
-rollkane.listen = ({ element, stage, motion, clock, show, play, jump, look, ask, obey }) => {
+rollkane.listen = (player) => {
+  const { element } = rollkane;
+  const { stage, motion } = player;
   const switched = (id, action) =>
     element(id).addEventListener("change", (event) => {
       action(event.target.checked);
-      ask();
+      player.ask();
     });
-  switched("force", (on) =>
-    stage.arrow.parts.forEach(({ pair }) => pair.forEach((part) => { part.visible = on; })));
+  switched("force", (on) => stage.arrow.show(on));
   switched("traces", (on) => {
     stage.onBase.group.visible = on;
     stage.onBody.group.visible = on;
   });
-  switched("follow", look);
-  element("reset").addEventListener("click", look);
-  element("play").addEventListener("click", () => play(!clock.playing));
+  switched("follow", () => player.look());
+  element("reset").addEventListener("click", () => player.look());
+  element("play").addEventListener("click", () => player.play(!player.playing));
   element("slider").addEventListener("input", (event) => {
-    clock.elapsed = Number(event.target.value);
-    show();
+    player.elapsed = Number(event.target.value);
+    player.show();
   });
-  window.addEventListener("hashchange", obey);
+  player.controls.addEventListener("change", () => player.ask());
+  window.addEventListener("resize", () => player.resize());
+  window.addEventListener("hashchange", () => player.obey());
   window.addEventListener("keydown", (event) => {
     if (event.target.matches("select, input, button")) return;
-    const frame = motion.locate(clock.elapsed).low;
-    if (event.key === " ") play(!clock.playing);
-    else if (event.key === "ArrowRight") jump(motion.elapsed(Math.min(frame + 1, motion.count - 1)));
-    else if (event.key === "ArrowLeft") jump(motion.elapsed(Math.max(frame - 1, 0)));
+    const frame = motion.locate(player.elapsed).low;
+    if (event.key === " ") player.play(!player.playing);
+    else if (event.key === "ArrowRight") player.jumpToFrame(frame + 1);
+    else if (event.key === "ArrowLeft") player.jumpToFrame(frame - 1);
     else return;
     event.preventDefault();
   });
 };
 
+// Some points of the body, spread over all of it.
+rollkane.corners = ({ body, size }) => {
+  const points = body ? rollkane.points(body) : [size, size, size, -size, -size, -size];
+  const step = 3 * Math.ceil(points.length / 600);
+  const corners = [];
+  for (let i = 0; i < points.length; i += step) {
+    corners.push(new THREE.Vector3(points[i], points[i + 1], points[i + 2]));
+  }
+  return corners;
+};
+
 // What the camera has to hold: the motion with the body round it, measured to the right,
 // upwards and towards the eye; and from where it is seen best: from the side to which
 // the base shows.
-rollkane.frame = (motion, size) => {
+rollkane.frame = (motion, corners) => {
   const facing = [0, 0, 0];
   for (let k = 0; k < motion.count; k += 1) {
     motion.row("outward", k).forEach((x, i) => { facing[i] += x / motion.count; });
@@ -183,24 +221,39 @@ rollkane.frame = (motion, size) => {
   const lift = Math.min(Math.max(Math.atan2(facing[2], across), 0.15), 0.62);
   const [c, s, C, S] = [Math.cos(lift), Math.sin(lift), Math.cos(turn), Math.sin(turn)];
   const eye = [c * C, c * S, s];
-  const axes = [[-S, C, 0], [-s * C, -s * S, c], eye];
+  const axes = [[-S, C, 0], [-s * C, -s * S, c], eye].map((v) => new THREE.Vector3(...v));
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
-  for (let k = 0; k < motion.count; k += 1) {
-    const point = motion.row("position", k);
-    axes.forEach((axis, i) => {
-      const along = axis.reduce((sum, x, j) => sum + x * point[j], 0);
-      low[i] = Math.min(low[i], along - size);
-      high[i] = Math.max(high[i], along + size);
-    });
+  for (let k = 0; k < motion.count; k += Math.ceil(motion.count / 200)) {
+    const position = new THREE.Vector3(...motion.row("position", k));
+    const [w, x, y, z] = motion.row("orientation", k);
+    const turn = new THREE.Quaternion(x, y, z, w);
+    for (const corner of corners) {
+      const point = corner.clone().applyQuaternion(turn).add(position);
+      axes.forEach((axis, i) => {
+        const along = point.dot(axis);
+        low[i] = Math.min(low[i], along);
+        high[i] = Math.max(high[i], along);
+      });
+    }
   }
   const half = low.map((x, i) => 0.5 * (high[i] - x));
   const middle = low.map((x, i) => x + half[i]);
-  const center = [0, 1, 2].map((j) => axes.reduce((sum, axis, i) => sum + middle[i] * axis[j], 0));
+  const center = axes
+    .reduce((sum, axis, i) => sum.addScaledVector(axis, middle[i]), new THREE.Vector3())
+    .toArray();
   return { center, half, radius: Math.hypot(...half), eye };
 };
 
-rollkane.write = (element, state) => {
+rollkane.writeGrid = (spacing) => {
+  const [factor, unit] = spacing < 0.1 ? [1000, "mm"] : [1, "m"];
+  rollkane.element("grid").textContent = String(Number((factor * spacing).toPrecision(3)));
+  rollkane.element("grid-unit").textContent = unit;
+  rollkane.element("grid-row").hidden = spacing === 0;
+};
+
+rollkane.write = (state) => {
+  const { element } = rollkane;
   const fixed = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "\u2013");
   const scientific = (x) => (Number.isFinite(x) ? x.toExponential(1) : "\u2013");
   element("time").textContent = fixed(state.time, 3);

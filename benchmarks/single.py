@@ -1,0 +1,294 @@
+"""One trajectory at equal end error: rollkane, hand-written C, SciPy, in one run.
+
+    python benchmarks/single.py [--out FOLDER] [--repeats N]
+
+Prints a table for P2 (thin disc) and P3 (rattleback), writes it as JSON and draws
+error against time. Each rollkane figure is measured in a process of its own, with and
+without the XLA setting that the command line uses (docs/speed.md); trace and compile
+time is reported apart from run time. Medians of the repeats.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from peers import c_dopri5, scipy_dop853
+from peers.problems import PROBLEMS, end_error
+
+SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=16384"
+TARGETS = (1e-8, 1e-10)
+TOLERANCES = tuple(10.0**-k for k in (7, 8, 9, 10, 11, 12))
+SOLVERS = ("Tsit5", "Dopri5", "Dopri8")
+
+
+def scene_of(name):
+    """The problem in rollkane's terms, and its start."""
+    import numpy as np
+
+    import rollkane as rk
+    from rollkane.rotations import rotation_matrix
+
+    problem = PROBLEMS[name]
+    surface = problem["surface"]
+    shape = (
+        rk.DiscEdge(surface["radius"])
+        if surface["kind"] == "rim"
+        else rk.Ellipsoid(surface["semi_axes"])
+    )
+    scene = rk.Scene(
+        rk.Body(problem["mass"], problem["inertia"], shape, problem["com"])
+    )
+    q = np.asarray(problem["orientation"])
+    R = np.asarray(rotation_matrix(q))
+    rho = np.asarray(shape.point_with_normal(-R[2]))
+    contact = np.asarray(problem["position"]) + R @ (rho - np.asarray(problem["com"]))
+    start = rk.place(
+        scene, q, R @ np.asarray(problem["omega"]), [contact[0], contact[1], 0.0]
+    )
+    return scene, start
+
+
+def end_numbers(problem, result):
+    """Quaternion, body angular velocity, x and y of the mass centre at the end."""
+    import numpy as np
+
+    from rollkane.rotations import rotation_matrix
+
+    q = np.asarray(result.orientation[-1])
+    centre = np.asarray(result.position[-1]) + np.asarray(rotation_matrix(q)) @ (
+        np.asarray(problem["com"])
+    )
+    return [*q, *np.asarray(result.state.angular_velocity[-1]), *centre[:2]]
+
+
+def measure_rollkane(repeats):
+    """All rollkane rows of this process, as JSON on standard output."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    import diffrax
+
+    import rollkane as rk
+
+    rows = []
+    for name, problem in PROBLEMS.items():
+        scene, start = scene_of(name)
+        rhs = jax.make_jaxpr(lambda s, scene=scene: rk.rolling_derivative(scene, 0.0, s))
+        equations = len(rhs(start).eqns)
+        times = (0.0, problem["t_end"])
+        for solver in SOLVERS:
+            method = getattr(diffrax, solver)()
+
+            def run(rtol, scene=scene, start=start, times=times, method=method):
+                result = rk.simulate(scene, start, times, rtol=rtol, solver=method)
+                jax.block_until_ready(result.state)
+                return result
+
+            began = time.perf_counter()
+            run(1e-3)
+            first = time.perf_counter() - began
+            began = time.perf_counter()
+            run(1e-3)
+            compile_time = first - (time.perf_counter() - began)
+            for rtol in TOLERANCES:
+                if solver != "Dopri8" and rtol < 1e-11:
+                    continue
+                result = run(rtol)
+                spans = []
+                for _ in range(repeats):
+                    began = time.perf_counter()
+                    run(rtol)
+                    spans.append(time.perf_counter() - began)
+                error = end_error(problem, end_numbers(problem, result))
+                rows.append(
+                    {
+                        "problem": name,
+                        "peer": f"rollkane {solver}",
+                        "rtol": rtol,
+                        "error": max(error.position, error.rotation),
+                        "seconds": statistics.median(spans),
+                        "steps": int(result.steps + result.rejected_steps),
+                        "compile": compile_time,
+                        "equations": equations,
+                    }
+                )
+    print(json.dumps(rows))
+
+
+def rollkane_rows(setting, repeats):
+    """Rows of a process with or without the XLA setting."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    if setting:
+        environment["XLA_FLAGS"] = SETTING
+    run = subprocess.run(
+        [sys.executable, __file__, "--inner", "--repeats", str(repeats)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    rows = json.loads(run.stdout.splitlines()[-1])
+    if not setting:
+        for row in rows:
+            row["peer"] += ", no setting"
+    return rows
+
+
+def peer_rows(repeats):
+    """Rows of the peers; those that cannot run are left out, with the reason."""
+    rows, notes = [], []
+    library, reason = c_dopri5.load()
+    if library is None:
+        notes.append(f"C DOPRI5 skipped: {reason}")
+    for name, problem in PROBLEMS.items():
+        for rtol in TOLERANCES:
+            found = []
+            if library is not None:
+                result = library.solve(name, rtol, 0.01 * rtol)
+                spans = library.seconds(name, rtol, 0.01 * rtol, 20, repeats)
+                found.append(("C DOPRI5", result, spans))
+            result = scipy_dop853.solve(name, rtol, 0.01 * rtol)
+            spans = scipy_dop853.seconds(name, rtol, 0.01 * rtol, max(3, repeats // 5))
+            found.append(("SciPy DOP853", result, spans))
+            for peer, result, spans in found:
+                error = end_error(problem, result.y_end)
+                rows.append(
+                    {
+                        "problem": name,
+                        "peer": peer,
+                        "rtol": rtol,
+                        "error": max(error.position, error.rotation),
+                        "seconds": statistics.median(spans),
+                        "steps": result.accepted + result.rejected,
+                    }
+                )
+    return rows, notes
+
+
+def at_error(rows, problem, peer, target):
+    """Time of a solve and of a step at a wanted end error, log-log interpolated."""
+    import numpy as np
+
+    chosen = [r for r in rows if r["problem"] == problem and r["peer"] == peer]
+    chosen.sort(key=lambda r: -r["error"])
+    errors = np.log([r["error"] for r in chosen])
+    if not chosen or target < np.exp(errors[-1]) or target > np.exp(errors[0]):
+        return None
+    want = np.log(target)
+    back = [np.log([r[k] for r in chosen])[::-1] for k in ("seconds", "steps")]
+    seconds, steps = (float(np.exp(np.interp(want, errors[::-1], b))) for b in back)
+    return seconds, seconds / steps
+
+
+def print_tables(rows, notes):
+    """Every run, then all peers at equal error against C."""
+    head = f"{'problem':8}{'peer':28}{'rtol':>7}{'end error':>11}{'ms':>10}"
+    print(head + f"{'steps':>8}{'us/step':>9}{'compile s':>11}{'equations':>11}")
+    for r in rows:
+        line = f"{r['problem']:8}{r['peer']:28}{r['rtol']:7.0e}{r['error']:11.1e}"
+        line += f"{1e3 * r['seconds']:10.3f}{r['steps']:8d}"
+        line += f"{1e6 * r['seconds'] / r['steps']:9.3f}"
+        if "compile" in r:
+            line += f"{r['compile']:11.2f}{r['equations']:11d}"
+        print(line)
+    peers = list(dict.fromkeys(r["peer"] for r in rows))
+    print("\nAt equal end error (larger of position [m] and rotation [rad]):")
+    head = f"{'problem':8}{'error':>7}  {'peer':28}{'ms':>10}{'us/step':>9}"
+    print(head + f"{'time / C':>10}{'step / C':>10}{'SciPy / it':>12}")
+    equal = []
+    for problem in PROBLEMS:
+        for target in TARGETS:
+            c = at_error(rows, problem, "C DOPRI5", target)
+            scipy = at_error(rows, problem, "SciPy DOP853", target)
+            for peer in peers:
+                found = at_error(rows, problem, peer, target)
+                if found is None:
+                    continue
+                seconds, step = found
+                line = f"{problem:8}{target:7.0e}  {peer:28}{1e3 * seconds:10.3f}"
+                line += f"{1e6 * step:9.3f}"
+                ratios = [None, None, None]
+                if c:
+                    ratios[:2] = seconds / c[0], step / c[1]
+                if scipy:
+                    ratios[2] = scipy[0] / seconds
+                for ratio, width in zip(ratios, (10, 10, 12), strict=True):
+                    line += " " * width if ratio is None else f"{ratio:{width}.2f}"
+                print(line)
+                equal.append(
+                    {
+                        "problem": problem,
+                        "error": target,
+                        "peer": peer,
+                        "seconds": seconds,
+                        "seconds_per_step": step,
+                        "time_over_c": ratios[0],
+                        "step_over_c": ratios[1],
+                        "scipy_over_it": ratios[2],
+                    }
+                )
+    for note in notes:
+        print(note)
+    return equal
+
+
+def draw(rows, path):
+    """Error against time, both logarithmic, a panel for each problem."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(1, len(PROBLEMS), sharey=True)
+    peers = list(dict.fromkeys(r["peer"] for r in rows))
+    for axis, (name, problem) in zip(axes, PROBLEMS.items(), strict=True):
+        for i, peer in enumerate(peers):
+            chosen = [r for r in rows if r["problem"] == name and r["peer"] == peer]
+            axis.loglog(
+                [r["error"] for r in chosen],
+                [r["seconds"] for r in chosen],
+                marker="os^Dv<>"[i % 7],
+                ls="--" if "no setting" in peer else "-",
+                color=f"C{[p.split(',')[0] for p in peers].index(peer.split(',')[0])}",
+                markersize=4,
+                label=peer,
+            )
+        axis.set_title(f"{name}: {problem['title']}", fontsize=10)
+        axis.set_xlabel("end error: position [m] or rotation [rad], the larger")
+        axis.grid(True, which="major", alpha=0.3)
+    axes[0].set_ylabel("time of a solve [s]")
+    axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
+    figure.savefig(path, dpi=120)
+
+
+def main():
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--inner", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.inner:
+        measure_rollkane(options.repeats)
+        return
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python "
+          f"{platform.python_version()}, median of {options.repeats}")
+    rows, notes = peer_rows(options.repeats)
+    for setting in (True, False):
+        rows += rollkane_rows(setting, options.repeats)
+    equal = print_tables(rows, notes)
+    options.out.mkdir(parents=True, exist_ok=True)
+    figures = {"runs": rows, "equal_error": equal, "notes": notes}
+    (options.out / "single.json").write_text(json.dumps(figures, indent=1))
+    draw(rows, options.out / "single.png")
+    print(f"written: {options.out / 'single.json'}, {options.out / 'single.png'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""Public names are there, documented with shapes, units and source."""
+
+import ast
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+import rollkane as rk
+
+SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
+
+NAMES = {
+    "Base",
+    "Body",
+    "Code",
+    "Cone",
+    "Cylinder",
+    "DiscEdge",
+    "Ellipsoid",
+    "FieldError",
+    "Graph",
+    "Gravity",
+    "Implicit",
+    "LocalGeometry",
+    "Parametric",
+    "Plane",
+    "Revolution",
+    "Rolling",
+    "Scene",
+    "Sphere",
+    "State",
+    "Torus",
+    "Trajectory",
+    "place",
+    "rolling_derivative",
+    "simulate",
+}
+FIELDS = {
+    "time": "[s]",
+    "position": "[m]",
+    "orientation": "[1]",
+    "angular_velocity": "[rad/s]",
+    "contact_on_body": "[m]",
+    "contact_on_base": "[m]",
+    "contact_force": "[N]",
+    "normal_force": "[N]",
+    "energy": "[J]",
+    "alpha": "",
+    "alpha_dot": "",
+}
+
+
+def test_the_list_of_names_is_frozen():
+    assert set(rk.__all__) == NAMES
+    for name in NAMES:
+        assert getattr(rk, name) is not None
+        assert name in dir(rk)
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(AttributeError, match="no attribute"):
+        _ = rk.Sphare
+
+
+def test_importing_changes_no_setting():
+    text = (SOURCE / "__init__.py").read_text()
+    assert "config" not in text
+    for path in SOURCE.rglob("*.py"):
+        if path.name != "cli.py" and "jax.config.update" in path.read_text():
+            # only as advice in a message
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Call):
+                    assert ast.unparse(node.func) != "jax.config.update", path.name
+
+
+@pytest.mark.parametrize("name", sorted(NAMES))
+def test_docstrings_carry_units_and_arguments(name):
+    thing = getattr(rk, name)
+    text = inspect.getdoc(thing) or ""
+    if inspect.isclass(thing) and "__init__" in vars(thing):
+        text += "\n" + (inspect.getdoc(thing.__init__) or "")
+    assert text
+    signature = inspect.signature(thing)
+    for argument in signature.parameters:
+        if argument not in ("self", "args", "kwargs"):
+            assert re.search(rf"\b{argument}\b", text), f"{name}: {argument}"
+    if name not in ("Plane", "Rolling", "Scene", "Base", "Code", "FieldError"):
+        assert re.search(r"\[[^\]]*\]", text), f"{name} says no unit"
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_trajectory_fields(field):
+    documented = inspect.getdoc(getattr(rk.Trajectory, field, None)) or ""
+    text = documented + "\n" + inspect.getdoc(rk.Trajectory)
+    assert FIELDS[field] in text
+    assert "shape (T" in text
+
+
+def test_public_functions_have_docstrings():
+    missing = []
+    for path in SOURCE.rglob("*.py"):
+        tree = ast.parse(path.read_text())
+        assert ast.get_docstring(tree), path.name
+        public = [n for n in tree.body if _is_public(n)]
+        for node in list(public):
+            if isinstance(node, ast.ClassDef):
+                public += [n for n in node.body if _is_public(n)]
+        missing += [(path.name, n.name) for n in public if not ast.get_docstring(n)]
+    assert not missing
+
+
+def _is_public(node):
+    kinds = (ast.FunctionDef, ast.ClassDef)
+    return isinstance(node, kinds) and not node.name.startswith("_")
+
+
+def test_mechanics_names_its_equations():
+    for room in ("contact", "rolling", "geometry", "bodies", "placement"):
+        assert "Source: theory" in (SOURCE / f"{room}.py").read_text(), room
