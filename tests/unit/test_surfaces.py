@@ -1,0 +1,216 @@
+"""Every surface of the catalogue: closed forms, charts against pole-free coordinates."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.geometry import travel
+from rollkane.surfaces import AbstractPointSurface
+
+# first and second derivatives of functions of order one: 1e-12 is 1e4 roundings
+TIGHT = 1e-12
+
+
+def ball(s):
+    return jnp.stack([0.3 * jnp.sin(s), -0.3 * jnp.cos(s)])
+
+
+SURFACES = {
+    "plane": rk.Plane(),
+    "sphere": rk.Sphere(0.3, (0.1, 0.2, 0.3)),
+    "cavity": rk.Sphere(0.3, inside=True),
+    "ellipsoid": rk.Ellipsoid((0.5, 0.3, 0.2), (0.1, 0.0, 0.0)),
+    "ellipsoid cavity": rk.Ellipsoid((0.5, 0.3, 0.2), inside=True),
+    "torus": rk.Torus(0.5, 0.2),
+    "tube": rk.Torus(0.5, 0.2, inside=True),
+    "cylinder": rk.Cylinder(0.4),
+    "pipe": rk.Cylinder(0.4, inside=True),
+    "cone": rk.Cone(0.7),
+    "funnel": rk.Cone(0.7, inside=True),
+    "graph": rk.Graph(lambda x, y, p: p * x * x + jnp.sin(y) * x, 0.3),
+    "chart": rk.Parametric(
+        lambda u, v: jnp.stack([jnp.cos(u) * jnp.cos(v), jnp.sin(u) * jnp.cos(v), jnp.sin(v)])
+    ),
+    "direction": rk.Parametric(lambda d: d * (1.0 + 0.2 * d[0] ** 2), of_direction=True),
+    "implicit": rk.Implicit(lambda x, y, z: x * x + 2 * y * y + 3 * z**4 - 0.1),
+    "closed revolution": rk.Revolution(ball),
+    "bowl": rk.Revolution(lambda s: (s, s * s), domain=(0.0, 1.0), inside=True),
+    "dome": rk.Revolution(lambda s: (1.0 - s, s * (2.0 - s)), domain=(0.0, 1.0)),
+    "diabolo": rk.Revolution(
+        lambda s: (0.2 + 0.1 * s * s, s), domain=(-0.5, 0.5)
+    ),
+}
+CHARTS = {name: s for name, s in SURFACES.items()} | {"rim": rk.DiscEdge(0.3)}
+
+
+def coordinates(surface, seed=0):
+    samples = np.asarray(surface.samples())
+    return jnp.asarray(samples[(7 * seed + 123) % len(samples)])
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_position_moves_by_lengths_and_normal_by_frame_rates(name):
+    """d rho = E L x and d e3 = -E W x along the coordinate rates of x."""
+    surface = SURFACES[name]
+    u = coordinates(surface)
+    geometry = surface.geometry(u)
+    for x in jnp.eye(2):
+        rates = surface.coordinate_rates(u, geometry, x)
+        moved = jax.jvp(surface.geometry, (u,), (rates,))[1]
+        np.testing.assert_allclose(moved.position, travel(geometry, x), atol=TIGHT)
+        turned = -geometry.frame[:, :2] @ (geometry.frame_rates @ x)
+        np.testing.assert_allclose(moved.normal, turned, atol=10 * TIGHT)
+
+
+@pytest.mark.parametrize("name", CHARTS)
+def test_frames_are_right_handed_and_orthonormal(name):
+    surface = CHARTS[name]
+    found = [surface.geometry(coordinates(surface)), surface.chart_geometry(jnp.array([0.4, 0.3]))]
+    for geometry in found:
+        E = np.asarray(geometry.frame)
+        np.testing.assert_allclose(E.T @ E, np.eye(3), atol=TIGHT)
+        np.testing.assert_allclose(np.linalg.det(E), 1.0, atol=TIGHT)
+
+
+@pytest.mark.parametrize("name", CHARTS)
+def test_chart_geometry_equals_its_definition(name):
+    """L, W and gam of the chart against autodiff of the chart's own frame."""
+    surface = CHARTS[name]
+    q = jnp.array([0.4, 0.3])
+    geometry = surface.chart_geometry(q)
+    moves = jax.jacfwd(surface.chart_geometry)(q)
+    E = geometry.frame
+    np.testing.assert_allclose(
+        moves.position, E[:, :2] @ geometry.lengths, atol=TIGHT
+    )
+    np.testing.assert_allclose(
+        E[:, :2].T @ moves.frame[:, 2], -geometry.frame_rates, atol=10 * TIGHT
+    )
+    np.testing.assert_allclose(E[:, 1] @ moves.frame[:, 0], geometry.spin_rates, atol=10 * TIGHT)
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_chart_and_coordinates_describe_one_surface(name):
+    """Same point, outward normal, curvatures: found again by locate."""
+    surface = SURFACES[name]
+    by_chart = surface.chart_geometry(jnp.array([0.4, 0.3]))
+    found = surface.geometry(surface.locate(by_chart.position))
+    np.testing.assert_allclose(found.position, by_chart.position, atol=1e-10)
+    np.testing.assert_allclose(found.normal, by_chart.normal, atol=1e-9)
+    np.testing.assert_allclose(
+        found.principal_curvatures, by_chart.principal_curvatures, atol=1e-7
+    )
+
+
+@pytest.mark.parametrize(
+    ("surface", "point", "normal", "curvatures"),
+    [
+        (rk.Sphere(0.5), (0.5, 0, 0), (1, 0, 0), (-2, -2)),
+        (rk.Sphere(0.5, inside=True), (0.5, 0, 0), (-1, 0, 0), (2, 2)),
+        # at the end of axis a: a/b^2 and a/c^2
+        (rk.Ellipsoid((0.5, 0.4, 0.2)), (0.5, 0, 0), (1, 0, 0), (-12.5, -3.125)),
+        (rk.Cylinder(0.5), (0, 0.5, 3.0), (0, 1, 0), (-2, 0)),
+        (rk.Cylinder(0.5, inside=True), (0, 0.5, 3.0), (0, -1, 0), (0, 2)),
+        (rk.Torus(0.5, 0.1), (0.6, 0, 0), (1, 0, 0), (-10, -1 / 0.6)),
+        (rk.Torus(0.5, 0.1), (0.4, 0, 0), (-1, 0, 0), (-10, 1 / 0.4)),
+        (rk.Plane(), (3.0, 2.0, 0), (0, 0, 1), (0, 0)),
+        (rk.Graph(lambda x, y: x * x - y * y), (0, 0, 0), (0, 0, 1), (-2, 2)),
+        # a funnel of slope 1 seen from above: curved once, by cos(45)/r towards the axis
+        (rk.Cone(1.0, inside=True), (1.0, 0, 1.0), (-(0.5**0.5), 0, 0.5**0.5), (0, 0.5**0.5)),
+        (rk.Cone(1.0), (1.0, 0, 1.0), (0.5**0.5, 0, -(0.5**0.5)), (-(0.5**0.5), 0)),
+        (SURFACES["closed revolution"], (0.3, 0, 0), (1, 0, 0), (-1 / 0.3, -1 / 0.3)),
+        (SURFACES["bowl"], (0, 0, 0), (0, 0, 1), (2, 2)),
+        (SURFACES["dome"], (0, 0, 1.0), (0, 0, 1), (-2, -2)),
+        (SURFACES["diabolo"], (0.2, 0, 0), (1, 0, 0), (-5, 0.2)),
+        (rk.Implicit(lambda p: jnp.sum(p * p) - 0.25), (0, 0.5, 0), (0, 1, 0), (-2, -2)),
+    ],
+)
+def test_closed_forms(surface, point, normal, curvatures):
+    point = jnp.asarray(point, float)
+    geometry = surface.geometry(surface.locate(point))
+    np.testing.assert_allclose(geometry.position, point, atol=1e-10)
+    np.testing.assert_allclose(geometry.normal, normal, atol=1e-10)
+    np.testing.assert_allclose(geometry.principal_curvatures, curvatures, atol=1e-8)
+
+
+def test_forms_of_a_chart():
+    """First and second form of a torus in its angles: closed forms, both signs."""
+    q = jnp.array([0.3, 0.8])
+    ring = 0.5 + 0.2 * np.cos(0.8)
+    geometry = rk.Torus(0.5, 0.2).chart_geometry(q)
+    np.testing.assert_allclose(geometry.first_form, np.diag([ring**2, 0.04]), atol=TIGHT)
+    second = np.diag([-ring * np.cos(0.8), -0.2])
+    np.testing.assert_allclose(geometry.second_form, second, atol=TIGHT)
+    inside = rk.Torus(0.5, 0.2, inside=True).chart_geometry(q)
+    np.testing.assert_allclose(inside.second_form, -second, atol=TIGHT)
+
+
+def test_rim_is_a_front():
+    """Theory 8.1: L = diag(a cos q2 / cos q2, 0) in the rim's chart; W regular."""
+    q = jnp.array([0.7, 0.4])
+    geometry = rk.DiscEdge(0.3).chart_geometry(q)
+    np.testing.assert_allclose(geometry.lengths, np.diag([0.3, 0.0]), atol=TIGHT)
+    np.testing.assert_allclose(
+        geometry.frame_rates, np.diag([-np.cos(0.4), -1.0]), atol=TIGHT
+    )
+    np.testing.assert_allclose(geometry.spin_rates, [np.sin(0.4), 0.0], atol=TIGHT)
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, s in SURFACES.items() if isinstance(s, AbstractPointSurface)]
+)
+def test_point_with_a_given_normal_is_found(name):
+    surface = SURFACES[name]
+    wanted = surface.geometry(coordinates(surface, 3)).normal
+    found = jax.jit(lambda n: surface.geometry(surface.find_normal(n)).normal)(wanted)
+    np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+def test_poles_of_a_meridian_are_regular():
+    """At and beside each pole the curvatures are those of the sphere."""
+    surface = SURFACES["closed revolution"]
+    for u in ([0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [1e-6, 0.0, -1.0], [0.0, 1e-12, 1.0]):
+        geometry = surface.geometry(jnp.array(u))
+        # beside a pole sin(s) is known to 1e-16 / 1e-6 relative
+        np.testing.assert_allclose(
+            geometry.principal_curvatures, [-1 / 0.3, -1 / 0.3], rtol=1e-8
+        )
+
+
+BAD = {
+    "negative radius": (lambda: rk.Sphere(-1.0), "Sphere.radius"),
+    "text": (lambda: rk.Sphere("1.0"), "Sphere.radius"),
+    "truth": (lambda: rk.Sphere(True), "Sphere.radius"),
+    "NaN": (lambda: rk.DiscEdge(float("nan")), "DiscEdge.radius"),
+    "complex": (lambda: rk.Cylinder(1j), "Cylinder.radius"),
+    "two axes": (lambda: rk.Ellipsoid((1.0, 2.0)), "Ellipsoid.semi_axes"),
+    "centre": (lambda: rk.Sphere(1.0, (0.0, 0.0)), "Sphere.center"),
+    "inside": (lambda: rk.Sphere(1.0, inside=1), "Sphere.inside"),
+    "spindle": (lambda: rk.Torus(0.1, 0.2), "Torus.minor_radius"),
+    "flat cone": (lambda: rk.Cone(0.0), "Cone.slope"),
+    "no function": (lambda: rk.Graph(3.0), "Graph.f"),
+    "signature": (lambda: rk.Graph(lambda: 0.0), "Graph.f"),
+    "vector": (lambda: rk.Graph(lambda x, y: jnp.stack([x, y])), "Graph.f"),
+    "math.sin": (lambda: rk.Graph(lambda x, y: __import__("math").sin(x)), "Graph.f"),
+    "pair": (lambda: rk.Parametric(lambda u, v: jnp.stack([u, v])), "Parametric.position"),
+    "domain": (
+        lambda: rk.Graph(lambda x, y: x, domain=((1.0, -1.0), (0.0, 1.0))),
+        "Graph.domain",
+    ),
+    "size": (lambda: rk.Implicit(lambda p: p[0], size=-1.0), "Implicit.size"),
+    "meridian": (lambda: rk.Revolution(lambda s: s), "Revolution.profile"),
+    "poles": (lambda: rk.Revolution(ball, poles=(1, 0), rising=True), "Revolution.poles"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_names_field_value_and_remedy(name):
+    make, field = BAD[name]
+    with pytest.raises(rk.FieldError) as caught:
+        make()
+    error = caught.value
+    assert error.field == field
+    assert error.remedy
+    assert "got" in str(error)
