@@ -68,13 +68,11 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
     if isinstance(value, (str, bytes, bool)) or value is None:
         raise FieldError(field, value, "must be made of numbers", remedy)
     try:
-        array = jnp.asarray(value)
+        # NumPy where the numbers are known: each jnp call would compile a program
+        array = jnp.asarray(value) if is_traced(value) else np.asarray(value)
     except (TypeError, ValueError) as error:
         raise FieldError(field, value, "must be made of numbers", remedy) from error
-    if jnp.issubdtype(array.dtype, jnp.bool_) or not (
-        jnp.issubdtype(array.dtype, jnp.floating)
-        or jnp.issubdtype(array.dtype, jnp.integer)
-    ):
+    if array.dtype.kind not in "iuf" and not jnp.issubdtype(array.dtype, jnp.floating):
         raise FieldError(field, value, "must be made of real numbers", remedy)
     matches = len(shape) == array.ndim and all(
         wanted in (None, found)
@@ -85,23 +83,26 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
         raise FieldError(
             field, value, f"must have shape {wanted}, not {array.shape}", remedy
         )
-    if not jnp.issubdtype(array.dtype, jnp.floating):
-        array = array.astype(jnp.result_type(float))
-    return refuse(array, lambda x: ~jnp.isfinite(x), field, "must be finite", remedy)
+    widest = jnp.result_type(float)
+    if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
+        array = array.astype(widest)
+    array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
+    return jnp.asarray(array)
 
 
 def refuse(
-    array: Array,
-    bad: Callable[[Array], Array] | Array,
+    array: Any,
+    bad: Callable[[Any], Any] | Any,
     field: str,
     problem: str,
     remedy: str,
-) -> Array:
+) -> Any:
     """Return ``array`` unless it is bad.
 
     Args:
         array: What is checked, and returned.
-        bad: Where it is bad, as a function of it or as a truth value.
+        bad: Where it is bad, as a truth value, or as a function of it that takes a
+            NumPy array (known numbers) as well as a traced one.
         field: Name used in the error.
         problem: What is wrong with it.
         remedy: What to do.
@@ -111,11 +112,7 @@ def refuse(
             run time, except under ``vmap``, where the lane becomes NaN.
     """
     if callable(bad):
-        if is_traced(array):
-            bad = bad(array)
-        else:
-            with jax.ensure_compile_time_eval():
-                bad = bad(array)
+        bad = bad(array if is_traced(array) else np.asarray(array))
     if not is_traced(array, bad):
         if bool(np.any(bad)):
             raise FieldError(field, array, problem, remedy)

@@ -25,6 +25,7 @@ def place(
     alpha_dot: Any = (),
     *,
     base_normal: Any = None,
+    near_on_body: Any = None,
 ) -> State:
     """The state in which a body touches its base at a given point.
 
@@ -38,6 +39,9 @@ def place(
         alpha_dot: Their rates, shape (n,).
         base_normal: Outward normal of the base at the contact [1], shape (3,). Needed
             only where the base is a sharp edge, which has a fan of them.
+        near_on_body: Body axes [m], shape (3,). Where several points of the body have
+            the needed normal (a cylinder, a body that is not convex), take the one
+            next to this; by default the outermost.
 
     Returns:
         The state, in pole-free coordinates.
@@ -51,53 +55,66 @@ def place(
     """
     dtype = scene.body.mass.dtype
     loose = _looseness(dtype)
-    orientation = _number(dtype, "orientation", orientation, 4, "a unit quaternion")
     orientation = refuse(
-        orientation,
-        lambda q: jnp.abs(norm(q) - 1.0) > loose,
+        _number(dtype, "orientation", orientation, 4, "a unit quaternion"),
+        lambda q: ~(abs((q * q).sum() - 1.0) < 2 * loose),
         "place.orientation",
         "must be a quaternion of unit length",
         "divide it by its length; scalar first, body to fixed axes",
     )
     spin = _number(dtype, "angular_velocity", angular_velocity, 3, "rad/s, fixed axes")
     point = _number(dtype, "contact_on_base", contact_on_base, 3, "metres, base axes")
-    edge_normal = (
-        None
-        if base_normal is None
-        else _number(dtype, "base_normal", base_normal, 3, "a direction, base axes")
-    )
+    hints = [
+        None if value is None else _number(dtype, name, value, 3, meaning)
+        for name, value, meaning in (
+            ("base_normal", base_normal, "a direction, base axes"),
+            ("near_on_body", near_on_body, "metres, body axes"),
+        )
+    ]
     numbers = [
         _number(dtype, name, value, len(scene.supported), "one for each coordinate")
         for name, value in (("alpha", alpha), ("alpha_dot", alpha_dot))
     ]
-
-    fit = _fit(scene, orientation, point, edge_normal)
+    fit = _fit(scene, orientation, spin, point, hints, loose)
     orientation = refuse(
-        orientation / norm(orientation),
-        ~(fit.misfit <= loose),
+        fit.orientation,
+        fit.misses,
         "place.orientation",
         "the body cannot touch the base so: no single point of its surface has the "
         "normal that the contact needs",
         "turn the body, or (for a surface by your own function) widen its domain",
     )
-    on_base = _checked_contact(fit, point, loose)
-    rotation = rotation_matrix(orientation)
     return State(
         orientation=orientation,
-        angular_velocity=matvec_transposed(rotation, spin),
-        contact_on_base=on_base,
+        angular_velocity=fit.angular_velocity,
+        contact_on_base=_checked_contact(fit, point),
         contact_on_body=fit.on_body,
         alpha=numbers[0],
         alpha_dot=numbers[1],
     )
 
 
-def _checked_contact(fit: "_Fit", point: Array, loose: float) -> Array:
+class _Fit(eqx.Module):
+    """Where two surfaces touch, and whether they can."""
+
+    orientation: Array
+    angular_velocity: Array
+    on_base: Array  # contact coordinates
+    on_body: Array
+    nearest: Array  # point of the base next to the asked one [m], base axes
+    off_base: Array  # truth values: what is wrong
+    misses: Array
+    singular: Array
+    fits: Array
+    cuts: Array
+
+
+def _checked_contact(fit: _Fit, point: Array) -> Array:
     """Contact coordinates on the base, unless the two surfaces cannot touch there."""
     field = "place.contact_on_base"
     on_base = refuse(
         fit.on_base,
-        ~(fit.gap <= loose * (1.0 + norm(jax.lax.stop_gradient(point)))),
+        fit.off_base,
         field,
         f"{_list(point)} is off the base's surface, whose nearest point is "
         f"{_list(fit.nearest)}",
@@ -105,17 +122,16 @@ def _checked_contact(fit: "_Fit", point: Array, loose: float) -> Array:
     )
     on_base = refuse(
         on_base,
-        ~(fit.regular > 1e-3 * loose),
+        fit.singular,
         field,
         "the chart of a surface is singular where they touch (a pole: two coordinates "
         "that no longer count)",
         "describe that surface without poles, for example of_direction=True, or turn "
         "its chart",
     )
-    rounding = jnp.finfo(point.dtype).eps
     on_base = refuse(
         on_base,
-        ~(jnp.abs(fit.curving) > 100 * rounding),  # a determinant of unit columns
+        fit.fits,
         field,
         "the surfaces fit each other here (relative curvature 0): they touch along a "
         "line or an area, and the contact point is not determined",
@@ -123,7 +139,7 @@ def _checked_contact(fit: "_Fit", point: Array, loose: float) -> Array:
     )
     return refuse(
         on_base,
-        ~(fit.opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
+        fit.cuts,
         field,
         "the body would cut into the base here, which bends towards the body more "
         "sharply than the body itself",
@@ -138,34 +154,23 @@ def _looseness(dtype) -> float:
 
 def _number(dtype, name: str, value: Any, count: int, meaning: str) -> Array:
     array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
-    return array.astype(dtype)
+    return array if array.dtype == dtype else array.astype(dtype)
 
 
 def _list(value: Array) -> str:
     return "the point" if is_traced(value) else str(np.asarray(value).tolist())
 
 
-class _Fit(eqx.Module):
-    """Where two surfaces touch, and whether they can."""
-
-    on_base: Array  # contact coordinates
-    on_body: Array
-    nearest: Array  # point of the base next to the asked one [m], base axes
-    gap: Array  # distance between the two [m]
-    misfit: Array  # angle between wanted and found normal of the body [rad]
-    regular: Array  # least column of a chart against its largest; zero at a pole [1]
-    opening: Array  # least relative opening; negative where the body cuts in [1]
-    curving: Array  # relative curvature [1]; zero where the surfaces fit each other
-
-
 @eqx.filter_jit
-def _fit(scene: Scene, orientation: Array, point: Array, edge_normal) -> _Fit:
+def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
     base, body = scene.base.surface, scene.body.surface
+    edge_normal, near = hints
     if edge_normal is None:
         on_base = base.locate(point)
     else:
         on_base = edge_normal / norm(edge_normal)
     ground = base.geometry(on_base)
+    orientation = orientation / norm(orientation)
     rotation = rotation_matrix(orientation)
     normal = -matvec_transposed(rotation, ground.normal)
     point_of_normal = body.normal_map(base.is_flat)
@@ -173,24 +178,31 @@ def _fit(scene: Scene, orientation: Array, point: Array, edge_normal) -> _Fit:
         on_body = jnp.zeros(0, normal.dtype)
         shell = from_normal(point_of_normal, normal)
     else:
-        on_body = body.find_normal(normal)
+        on_body = body.find_normal(normal, near)
         shell = body.geometry(on_body)
-    misfit = norm(shell.normal - normal)
     tangents = [matvec_transposed(rotation, ground.frame[:, a]) for a in range(2)]
     mixing = jnp.stack(
         [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
     )
-    measures = jax.lax.stop_gradient((shell, ground, mixing))
-    opening, curving = _opening(*measures)
+    still = jax.lax.stop_gradient((shell, ground, mixing))
+    opening, curving = _opening(*still)
+    regular = jnp.minimum(_regular(still[0]), _regular(still[1]))
+    gap, reach, misfit = jax.lax.stop_gradient(
+        (norm(point - ground.position), norm(point), norm(shell.normal - normal))
+    )
+    rounding = jnp.finfo(point.dtype).eps
+    placed = jnp.all(jnp.isfinite(shell.position))
     return _Fit(
+        orientation=orientation,
+        angular_velocity=matvec_transposed(rotation, spin),
         on_base=on_base,
         on_body=on_body,
         nearest=ground.position,
-        gap=jax.lax.stop_gradient(norm(point - ground.position)),
-        misfit=jnp.where(jnp.all(jnp.isfinite(shell.position)), misfit, jnp.inf),
-        regular=jnp.minimum(_regular(measures[0]), _regular(measures[1])),
-        opening=opening,
-        curving=curving,
+        off_base=~(gap <= loose * (1.0 + reach)),
+        misses=~(placed & (misfit <= loose)) & jnp.all(jnp.isfinite(ground.frame)),
+        singular=~(regular > 1e-3 * loose),
+        fits=~(jnp.abs(curving) > 100 * rounding),  # a determinant of unit columns
+        cuts=~(opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
     )
 
 

@@ -26,7 +26,8 @@ _COORDINATES = ("pole-free",)
 _CHECKPOINTS = 4096
 # Steps that a derivative can follow: the record takes 8 bytes a step.
 _RECORDED_STEPS = 2**16
-_UNRECORDED_STEPS = 2**30
+# A run that creeps towards a singular place must end: a minute at the slowest.
+_UNRECORDED_STEPS = 2**22
 
 
 def simulate(
@@ -68,8 +69,8 @@ def simulate(
         saveat: diffrax ``SaveAt``; replaces ``times``, of which only the first and
             last are then used.
         dt0: First step [s]; chosen by the solver by default.
-        max_steps: Most steps taken; by default as many as needed, of which
-            derivatives can follow 65536 (and are NaN beyond, never quietly wrong).
+        max_steps: Most steps taken; by default 4194304, of which derivatives can
+            follow 65536 (and are NaN beyond, never quietly wrong).
         progress_meter: diffrax progress meter.
 
     Returns:
@@ -80,9 +81,9 @@ def simulate(
             names, a start that does not belong to the scene.
     """
     _check_names(formulation, coordinates)
-    dtype = jnp.result_type(start.orientation)
-    _warn_single_precision(dtype)
     _check_start(scene, start)
+    dtype = start.orientation.dtype
+    _warn_single_precision(dtype)
     times = _checked_times(times, dtype)
     rtol, atol = _tolerances(rtol, atol, dtype)
     if solver is None:

@@ -136,8 +136,7 @@ class Trajectory(eqx.Module):
         outputs on the cubic through values and slopes of the normal force, so its
         error falls with the fourth power of the distance of the outputs.
         """
-        values, slopes = self.each(_pressing)
-        return _first_fall(self.time, values, slopes)
+        return _first_pull(self.time, self.scene, self.state)
 
     @property
     def energy(self) -> Float[Array, " T"]:
@@ -209,10 +208,16 @@ def _pressing(scene: Scene, state: State) -> tuple[Array, Array]:
 
 
 @eqx.filter_jit
+def _first_pull(time: Array, scene: Scene, state: State) -> Array:
+    if time.ndim > 1:
+        return jax.vmap(_first_pull)(time, scene, state)
+    # one state after the other: mapped over all, it takes four times as long to compile
+    values, slopes = jax.lax.map(lambda s: _pressing(scene, s), state)
+    return _first_fall(time, values, slopes)
+
+
 def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
     """First time at which a sampled function with slopes is not positive; else NaN."""
-    if values.ndim > 1:
-        return jax.vmap(_first_fall)(time, values, slopes)
     grid = jnp.linspace(0.0, 1.0, 17, dtype=time.dtype)
 
     def cubic(i, x):

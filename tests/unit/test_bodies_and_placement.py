@@ -137,8 +137,8 @@ BAD_PLACES = {
     ),
     "tip": (
         lambda: (rk.Scene(body(), rk.Base(rk.Cone(-1.0, inside=True))), LEVEL, ORIGIN),
-        "Cone",
-        "tip",
+        "contact_on_base",
+        "got",
     ),
     "graph that faces elsewhere": (
         lambda: (rk.Scene(body(surface=rk.Graph(lambda x, y: -(x**2) - y**2))), LEVEL, ORIGIN),
@@ -292,15 +292,28 @@ def test_running_out_of_steps_keeps_what_was_reached():
 
 def test_a_function_that_turns_nan_stops_the_run():
     """The place is said, what was reached is kept, and nothing hangs."""
-    cliff = rk.Graph(lambda x, y: 0.05 * jnp.sqrt(1.0 - x) - 0.05)
+    cliff = rk.Graph(lambda x, y: x * jnp.where(x < 0.9, 0.0, jnp.nan))
     ball = rk.Body(1.0, 4e-5 * np.eye(3), rk.Sphere(0.01))
     scene = rk.Scene(ball, rk.Base(cliff))
     start = rk.place(scene, LEVEL, (0.0, 40.0, 0.0), ORIGIN)
     result = rk.simulate(scene, start, np.linspace(0.0, 10.0, 101))
     assert int(result.code) == rk.Code.STEP_TOO_SMALL
-    assert 0.1 < float(result.final_time) < 10.0
-    assert float(result.final_state.contact_on_base[0]) > 0.9
-    assert np.isfinite(np.asarray(result.position[1])).all()
+    # it rolls at 0.4 m/s, and an evaluation meets the cliff at 2.25 s at the earliest
+    assert 2.0 < float(result.final_time) <= 2.25
+    assert float(result.final_state.contact_on_base[0]) < 0.9
+    assert np.isfinite(np.asarray(result.position[:20])).all()
+
+
+def test_cylinder_lying_on_a_ball():
+    """The normal fixes the generator; the place on it is chosen, or asked for."""
+    scene = rk.Scene(body(surface=rk.Cylinder(0.2)), rk.Base(rk.Sphere(1.0)))
+    middle = rk.place(scene, ON_SIDE, STILL, (0.0, 0.0, 1.0))
+    assert abs(float(middle.contact_on_body[1])) < 1e-12
+    asked = rk.place(
+        scene, ON_SIDE, STILL, (0.0, 0.0, 1.0), near_on_body=(0.2, 0.0, 0.52)
+    )
+    assert abs(float(asked.contact_on_body[1]) - 0.52) < 1e-9
+    assert bool(rk.simulate(scene, middle, (0.0, 0.3)).succeeded)
 
 
 def test_diffrax_objects_are_used_as_they_are():

@@ -179,6 +179,20 @@ def test_poles_of_a_meridian_are_regular():
         )
 
 
+@pytest.mark.parametrize("name", ["closed revolution", "bowl", "dome"])
+def test_derivatives_at_the_very_pole(name):
+    """Moving off the pole changes point and normal as L and W say."""
+    surface = SURFACES[name]
+    u = jnp.array([0.0, 0.0, 1.0]) if surface.coordinate_count == 3 else jnp.zeros(2)
+    geometry = surface.geometry(u)
+    for x in jnp.eye(2):
+        rates = surface.coordinate_rates(u, geometry, x)
+        moved = jax.jvp(surface.geometry, (u,), (rates,))[1]
+        np.testing.assert_allclose(moved.position, travel(geometry, x), atol=TIGHT)
+        turned = -geometry.frame[:, :2] @ (geometry.frame_rates @ x)
+        np.testing.assert_allclose(moved.normal, turned, atol=TIGHT)
+
+
 BAD = {
     "negative radius": (lambda: rk.Sphere(-1.0), "Sphere.radius"),
     "text": (lambda: rk.Sphere("1.0"), "Sphere.radius"),

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..checks import FieldError, flag, is_traced, positive, real, refuse
+from ..checks import flag, is_traced, positive, real, refuse
 from ..geometry import LocalGeometry, from_height
 from ..small_linear import components, dot, inverse_sqrt, norm
 from .kinds import AbstractNormalSurface, AbstractPairSurface, PointOfNormal
@@ -138,6 +138,11 @@ class Ellipsoid(AbstractNormalSurface):
         return (-gradient if self.inside else gradient) / norm(gradient)
 
 
+def _known(x: Array):
+    """A number for comparison, by NumPy where it is known."""
+    return x if is_traced(x) else np.asarray(x)
+
+
 def _around_rim(major: Array, minor: Array | float, normal: Array) -> Array:
     """Point with the given normal on the outer half of a torus; a rim for minor 0.
 
@@ -214,7 +219,7 @@ class Torus(AbstractPairSurface):
         )
         self.minor_radius = refuse(
             minor,
-            lambda r: ~(r < self.major_radius),
+            ~(_known(minor) < _known(self.major_radius)),
             "Torus.minor_radius",
             "must be smaller than the major radius",
             "make the tube thinner or the ring larger",
@@ -356,11 +361,4 @@ class Cone(AbstractPairSurface):
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
         """The point's x and y [m]."""
-        if not is_traced(point) and bool(norm(point[:2]) == 0):
-            raise FieldError(
-                "Cone",
-                point,
-                "has no tangent plane at its tip",
-                "place the contact away from the z axis",
-            )
         return point[:2]

@@ -146,37 +146,44 @@ class AbstractPointSurface(AbstractSurface):
         def towards(target):
             def gap(geometry):
                 offset = target - geometry.position
-                return _inverse(geometry.lengths) @ (geometry.frame[:, :2].T @ offset)
+                return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
 
             return gap
 
         return self._refine(seed, towards(fixed), towards(point))
 
-    def find_normal(self, normal: Float[Array, "3"]) -> Float[Array, " k"]:
+    def find_normal(
+        self, normal: Float[Array, "3"], near: Float[Array, "3"] | None = None
+    ) -> Float[Array, " k"]:
         """Coordinates of the point with the given outward normal.
 
-        Of several such points the one farthest out along the normal: the first that a
-        plane meets. Where there is none, a point with another normal comes back, which
-        the caller must check.
+        Of several such points the one next to ``near`` [m], or else the one farthest
+        out along the normal: the first that a plane meets. Where there is none, a
+        point with another normal comes back, which the caller must check.
         """
-        seeds = jnp.asarray(self.samples(), dtype=normal.dtype)
         fixed = jax.lax.stop_gradient(normal)
-        found = jax.vmap(self.geometry)(seeds)
-        # a flat spot between samples may face elsewhere: height decides, then facing
-        height = found.position @ fixed
-        facing = found.frame[:, :, 2] @ fixed
-        spread = jnp.nanmax(height) - jnp.nanmin(height)
-        score = height + spread * jnp.minimum(facing - 0.5, 0.0)
-        best = jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))
+        seed = self._outermost(fixed) if near is None else self.locate(near)
 
         def towards(target):
             def gap(geometry):
-                offset = geometry.frame[:, :2].T @ target  # wanted turn of the normal
-                return _inverse(-geometry.frame_rates) @ offset
+                turn = geometry.frame[:, :2].T @ target  # that the normal still needs
+                return _least_turn(-geometry.frame_rates, turn)
 
             return gap
 
-        return self._refine(seeds[best], towards(fixed), towards(normal))
+        return self._refine(seed, towards(fixed), towards(normal))
+
+    def _outermost(self, normal: Float[Array, "3"]) -> Float[Array, " k"]:
+        """The sample farthest out along a normal, of those that face its way."""
+        seeds = jnp.asarray(self.samples(), dtype=normal.dtype)
+        found = jax.vmap(self.geometry)(seeds)
+        height = found.position @ normal
+        facing = found.frame[:, :, 2] @ normal
+        spread = jnp.nanmax(height) - jnp.nanmin(height)
+        # where a whole line has the normal (cylinder), the place next to the origin
+        far = 1e-6 * jax.vmap(norm)(found.position)
+        score = height + spread * jnp.minimum(facing - 0.5, 0.0) - far
+        return seeds[jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))]
 
     def _refine(self, seed, step_to_fixed, step_to_moving) -> Array:
         """Newton steps from a seed; the last two carry the derivative."""
@@ -270,8 +277,11 @@ def sphere_of_directions(count: int) -> np.ndarray:
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
 
 
-def _inverse(matrix: Float[Array, "2 2"]) -> Float[Array, "2 2"]:
-    columns = jnp.eye(2, dtype=matrix.dtype)
-    return jnp.stack(
-        [solve_2x2(matrix, columns[0]), solve_2x2(matrix, columns[1])], axis=1
-    )
+def _least_turn(matrix: Float[Array, "2 2"], turn: Float[Array, "2"]):
+    """Smallest x with ``matrix x = turn``, also where one way does not turn at all.
+
+    A cylinder's generator keeps the normal: its point then stays where it was.
+    """
+    square = matrix.T @ matrix
+    slack = 1e-14 * (square[0, 0] + square[1, 1])
+    return solve_2x2(square + slack * jnp.eye(2, dtype=turn.dtype), matrix.T @ turn)

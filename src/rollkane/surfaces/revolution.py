@@ -21,6 +21,7 @@ class _OnMeridian(NamedTuple):
     """Where a coordinate lies: meridian, way along it, distance from its pole."""
 
     s: Array  # parameter of the meridian
+    way: tuple[Array, Array]  # from the pole, of length `across`; smooth at the pole
     cosine: Array  # direction of the meridian's half-plane
     sine: Array
     across: Array  # unit way round per radian of turn: sin(polar angle), |u| or 1
@@ -101,22 +102,22 @@ class Revolution(AbstractPointSurface):
     def _place(self, u: Float[Array, " k"]) -> _OnMeridian:
         if not any(self.poles):
             s, angle = components(u)
-            return _OnMeridian(
-                s, jnp.cos(angle), jnp.sin(angle), jnp.ones_like(s), 1.0, 1.0
-            )
+            cosine, sine = jnp.cos(angle), jnp.sin(angle)
+            one = jnp.ones_like(s)
+            return _OnMeridian(s, (cosine, sine), cosine, sine, one, 1.0, 1.0)
         first, last = self.domain
         if all(self.poles):
             x, y, z = components(u / norm(u))
             cosine, sine, across = _polar(x, y)
             rate = (last - first) / np.pi
             s = first + rate * jnp.arctan2(across, z)
-            return _OnMeridian(
-                s, cosine, sine, across, rate, jnp.where(z < 0, -rate, rate)
-            )
-        cosine, sine, across = _polar(*components(u))
-        if self.poles[0]:
-            return _OnMeridian(first + across, cosine, sine, across, 1.0, 1.0)
-        return _OnMeridian(last - across, cosine, sine, across, -1.0, -1.0)
+            edge = jnp.where(z < 0, -rate, rate)
+            return _OnMeridian(s, (x, y), cosine, sine, across, rate, edge)
+        x, y = components(u)
+        cosine, sine, across = _polar(x, y)
+        rate = 1.0 if self.poles[0] else -1.0
+        s = first + across if self.poles[0] else last - across
+        return _OnMeridian(s, (x, y), cosine, sine, across, rate, rate)
 
     def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
         """Local geometry from the meridian's derivatives; regular at the poles.
@@ -126,6 +127,7 @@ class Revolution(AbstractPointSurface):
         """
         place = self._place(u)
         cosine, sine, across = place.cosine, place.sine, place.across
+        x, y = place.way
 
         def slope(s):
             return jax.jvp(_meridian(self.profile), (s,), (jnp.ones_like(s),))
@@ -146,12 +148,13 @@ class Revolution(AbstractPointSurface):
         bend = (r_1 * z_2 - z_1 * r_2) / (length * length) * place.rate
         w11, w22 = -side * bend, -side * lean / length
         return LocalGeometry(
-            position=jnp.stack([r * cosine, r * sine, z]),
+            # through x and y, so that derivatives are right at the very pole
+            position=jnp.stack([around * x, around * y, z]),
             frame=jnp.stack(
                 [
                     jnp.stack([r_1 * cosine, r_1 * sine, z_1]) / length,
                     jnp.stack([side * sine, -side * cosine, zero]),
-                    jnp.stack([z_1 * cosine, z_1 * sine, -r_1]) * (side / length),
+                    jnp.stack([lean * x, lean * y, -r_1]) * (side / length),
                 ],
                 axis=1,
             ),
