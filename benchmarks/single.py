@@ -79,7 +79,9 @@ def measure_rollkane(repeats):
     rows = []
     for name, problem in PROBLEMS.items():
         scene, start = scene_of(name)
-        rhs = jax.make_jaxpr(lambda s, scene=scene: rk.rolling_derivative(scene, 0.0, s))
+        rhs = jax.make_jaxpr(
+            lambda s, scene=scene: rk.rolling_derivative(scene, 0.0, s)
+        )
         equations = len(rhs(start).eqns)
         times = (0.0, problem["t_end"])
         for solver in SOLVERS:
@@ -277,8 +279,10 @@ def main():
     if options.inner:
         measure_rollkane(options.repeats)
         return
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python "
-          f"{platform.python_version()}, median of {options.repeats}")
+    print(
+        f"{platform.machine()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}, median of {options.repeats}"
+    )
     rows, notes = peer_rows(options.repeats)
     for setting in (True, False):
         rows += rollkane_rows(setting, options.repeats)

@@ -95,10 +95,16 @@ def disc(spin=None, radius=0.25):
     )
     q = turn(0, 70.0)
     omega = jnp.stack(
-        [jnp.asarray(0.0), jnp.asarray(1.5 * np.sin(np.deg2rad(70.0))), jnp.asarray(spin)]
+        [
+            jnp.asarray(0.0),
+            jnp.asarray(1.5 * np.sin(np.deg2rad(70.0))),
+            jnp.asarray(spin),
+        ]
     )
     contact = matrix(q) @ [0.0, -radius, 0.0]
-    start = rk.place(scene, q, jnp.asarray(matrix(q)) @ omega, [contact[0], contact[1], 0.0])
+    start = rk.place(
+        scene, q, jnp.asarray(matrix(q)) @ omega, [contact[0], contact[1], 0.0]
+    )
     return scene, start
 
 

@@ -6,13 +6,13 @@ are still being traced by JAX get the same text through ``eqx.error_if``; inside
 code, and the other lanes are right.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
 
@@ -27,6 +27,7 @@ class FieldError(ValueError):
     """
 
     def __init__(self, field: str, value: Any, problem: str, remedy: str):
+        """Say what is wrong with which field, and what to do (see the class)."""
         self.field, self.value, self.problem, self.remedy = (
             field,
             value,
@@ -37,7 +38,7 @@ class FieldError(ValueError):
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return f"a traced {value.dtype}{list(value.shape)}"
     if isinstance(value, (np.ndarray, jax.Array)):
         value = np.asarray(value).tolist()
@@ -47,7 +48,7 @@ def _shown(value: Any) -> str:
 
 def is_traced(*values: Any) -> bool:
     """Whether any leaf is an abstract value of a JAX transformation."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(values))
+    return any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
 
 
 def _is_batched(x: Array) -> bool:
@@ -92,7 +93,7 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
 
 def refuse(
     array: Any,
-    bad: Callable[[Any], Any] | Any,
+    bad: Any,
     field: str,
     problem: str,
     remedy: str,

@@ -127,7 +127,10 @@ def _aligned(orientation, rotation, shell: LocalGeometry, normal):
 
 def _tangents_in_body(ground: LocalGeometry, rotation):
     """The base's tangent pair on body axes."""
-    return tuple(matvec_transposed(rotation, ground.frame[:, m]) for m in range(2))
+    return (
+        matvec_transposed(rotation, ground.frame[:, 0]),
+        matvec_transposed(rotation, ground.frame[:, 1]),
+    )
 
 
 def _on_pair(pair, vector) -> Float[Array, "2"]:

@@ -14,12 +14,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.custom_derivatives import SymbolicZero
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
-Solve = Callable[..., tuple[PyTree, Array]]
+Solve = Callable[..., tuple[PyTree, Array | None]]
 
 
 def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
@@ -142,7 +143,7 @@ def _run(*args, forward, backward, count):
 def _shapes(*args, **parameters):
     structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in args]
     outputs = jax.eval_shape(lambda *a: _run(*a, **parameters), *structs)
-    return [jax.core.ShapedArray(o.shape, o.dtype) for o in outputs]
+    return [ShapedArray(o.shape, o.dtype) for o in outputs]
 
 
 def _jvp(primals, tangents, *, forward, backward, count):
@@ -159,7 +160,9 @@ def _jvp(primals, tangents, *, forward, backward, count):
 def _transpose(cotangents, *args, forward, backward, count):
     residuals, operands = args[:count], args[count:]
     shapes = jax.eval_shape(
-        forward, residuals, [jax.ShapeDtypeStruct(a.aval.shape, a.aval.dtype) for a in operands]
+        forward,
+        residuals,
+        [jax.ShapeDtypeStruct(a.aval.shape, a.aval.dtype) for a in operands],
     )
     filled = [
         jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c

@@ -1,19 +1,20 @@
-"""Put a body onto its base: find the contact on both surfaces, or say why there is none."""
+"""Put a body onto its base: find the contact, or say why there is none."""
 
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
-from .checks import FieldError, is_traced, real, refuse
+from .checks import is_traced, real, refuse
 from .coordinates import State
 from .geometry import LocalGeometry, from_normal
 from .rotations import rotation_matrix
 from .scene import Scene
 from .small_linear import dot, matvec_transposed, norm
+from .surfaces import AbstractPointSurface, PointOfNormal
 
 
 def place(
@@ -174,12 +175,12 @@ def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
     rotation = rotation_matrix(orientation)
     normal = -matvec_transposed(rotation, ground.normal)
     point_of_normal = body.normal_map(base.is_flat)
-    if point_of_normal is not None:
-        on_body = jnp.zeros(0, normal.dtype)
-        shell = from_normal(point_of_normal, normal)
-    else:
+    if isinstance(body, AbstractPointSurface) and point_of_normal is None:
         on_body = body.find_normal(normal, near)
         shell = body.geometry(on_body)
+    else:
+        on_body = jnp.zeros(0, normal.dtype)
+        shell = from_normal(cast(PointOfNormal, point_of_normal), normal)
     tangents = [matvec_transposed(rotation, ground.frame[:, a]) for a in range(2)]
     mixing = jnp.stack(
         [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]

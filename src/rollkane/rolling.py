@@ -92,7 +92,5 @@ def kinetic_energy(scene: Scene, state: State) -> Float[Array, ""]:
 def _times_lower(lower: list[list[Array]], v: Float[Array, "3"]) -> Float[Array, "3"]:
     """Symmetric matrix, given by its lower triangle, times a vector."""
     n, x = len(lower), components(v)
-    rows = [
-        [lower[max(i, j)][min(i, j)] * x[j] for j in range(n)] for i in range(n)
-    ]
+    rows = [[lower[max(i, j)][min(i, j)] * x[j] for j in range(n)] for i in range(n)]
     return jnp.stack([sum(row[1:], row[0]) for row in rows])

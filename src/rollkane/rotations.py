@@ -74,7 +74,7 @@ def quaternion_rates(
 def shortest_turn(
     start: Float[Array, "3 *B"], end: Float[Array, "3 *B"]
 ) -> Float[Array, "4 *B"]:
-    """Quaternion (not normalised) of the smallest rotation that takes ``start`` to ``end``.
+    """Quaternion (any length) of the smallest rotation from ``start`` to ``end``.
 
     Both are unit vectors; opposite ones have no smallest rotation (zero quaternion).
     """

@@ -2,7 +2,7 @@
 
 import functools
 import warnings
-from typing import Any
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
@@ -214,8 +214,8 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         throw=False,
         progress_meter=plan.progress_meter,
     )
-    time, final_time, *record = solution.ts
-    y, final_y, *_ = solution.ys
+    time, final_time, *record = cast(list, solution.ts)
+    y, final_y, *_ = cast(list, solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
     outcome = _Solution(
         time=time,
@@ -277,7 +277,7 @@ _warned = False
 def _warn_single_precision(dtype) -> None:
     """Say once what single precision costs, where the program has not chosen it."""
     global _warned
-    if dtype == jnp.float32 and not jax.config.jax_enable_x64 and not _warned:
+    if dtype == jnp.float32 and jnp.result_type(float) == dtype and not _warned:
         _warned = True
         warnings.warn(
             "rollkane runs in single precision: about 6 digits, and tolerances below "

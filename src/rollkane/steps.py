@@ -1,4 +1,4 @@
-"""Step controllers of our own: landing on output times, and replaying recorded steps."""
+"""Step controllers: landing on output times, and replaying recorded steps."""
 
 import diffrax as dfx
 import jax.numpy as jnp

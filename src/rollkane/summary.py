@@ -26,10 +26,10 @@ def summary(trajectory: Trajectory) -> list[str]:
         trajectory: One run, not a batch.
 
     Returns:
-        Lines: spin about the base's normal [rad/s] before and after, when it changed
-        its sign [s], relative drift of the energy [1], steps, the normal force [N]
-        (or when the contact would first have had to pull), and the friction
-        coefficient that rolling needed [1].
+        Lines: spin about the base's normal and about the body's axis next to it
+        [rad/s] before and after, when they changed sign [s], relative drift of the
+        energy [1], steps, the normal force [N] (or when the contact would first have
+        had to pull), and the friction coefficient that rolling needed [1].
 
     Raises:
         FieldError: a batch.
@@ -94,21 +94,33 @@ def _line(name: str, text: str) -> str:
 
 
 def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
-    spin = motion.spin
-    lines = [
-        _line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about the normal"),
-    ]
+    """Spin about the normal and about the body axis next to it, with their reversals.
+
+    The two change sign at different times where the body rocks: Kane and Levinson's
+    stone does so in its own omega_3 first.
+    """
+    spins, rates, upwards = (
+        np.asarray(x, dtype=float)[rows] for x in trajectory.each(_spins)
+    )
+    axis = int(np.argmax(np.abs(upwards[0])))
+    lines = []
     fastest = np.max(np.linalg.norm(motion.angular_velocity, axis=1))
-    if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
-        return [*lines, _line("reversals", "none")]
-    rate = np.asarray(trajectory.each(_spin_rate), dtype=float)[rows]
-    times = sign_changes(motion.time, spin, rate)
-    listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
-    if times.size > _MOST_LISTED:
-        listed += f" and {times.size - _MOST_LISTED} more"
-    if times.size:
-        listed += " (interpolated between outputs)"
-    return [*lines, _line("reversals", listed if times.size else "none")]
+    for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
+        spin = spins[:, k]
+        lines.append(
+            _line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about {about}")
+        )
+        if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
+            lines.append(_line("  reversals", "none"))
+            continue
+        times = sign_changes(motion.time, spin, rates[:, k])
+        listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
+        if times.size > _MOST_LISTED:
+            listed += f" and {times.size - _MOST_LISTED} more"
+        if times.size:
+            listed += " (interpolated between outputs)"
+        lines.append(_line("  reversals", listed if times.size else "none"))
+    return lines
 
 
 def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
@@ -140,11 +152,20 @@ def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
     return lines
 
 
-def _spin_rate(scene: Scene, state: State) -> Float[Array, ""]:
-    """Rate of the spin along the motion [rad/s^2]."""
+def _spins(scene: Scene, state: State) -> tuple[Array, Array, Array]:
+    """Spins about the body's axes and the normal, their rates, and the upward normal.
 
-    def spin(state):
-        return -dot(contact_of(scene, state).normal, state.angular_velocity)
+    Returns:
+        Spins [rad/s] and rates [rad/s^2], shape (4,) each: x, y, z of the body, then
+        the base's normal; the base's normal on body axes [1], shape (3,).
+    """
+
+    def spins(state):
+        upward = -contact_of(scene, state).normal
+        w = state.angular_velocity
+        return jnp.concatenate([w, dot(upward, w)[None]]), upward
 
     now = jnp.zeros((), state.orientation.dtype)
-    return jax.jvp(spin, (state,), (rolling_derivative(scene, now, state),))[1]
+    moving = rolling_derivative(scene, now, state)
+    (values, upward), (rates, _) = jax.jvp(spins, (state,), (moving,))
+    return values, rates, upward

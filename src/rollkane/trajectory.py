@@ -10,7 +10,6 @@ from jaxtyping import Array, Float, Int
 
 from .coordinates import State
 from .rolling import contact_force, contact_of, kinetic_energy, rolling_derivative
-from .rotations import rotation_matrix
 from .scene import Scene
 from .small_linear import dot, matvec, norm
 
@@ -61,7 +60,7 @@ class Trajectory(eqx.Module):
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
 
-    def each(self, observable: Callable[[Scene, State], Array]) -> Array:
+    def each(self, observable: Callable[[Scene, State], Any]) -> Any:
         """An observable of one state, at every time of every lane.
 
         Args:

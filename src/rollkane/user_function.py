@@ -89,6 +89,7 @@ class UserFunction(eqx.Module):
         return eqx.filter_closure_convert(lambda u: _call(function, *form, u), example)
 
     def __call__(self, coordinates: Array) -> Array:
+        """Value at coordinates of shape (count,)."""
         function = eqx.combine(self._arrays, self._fixed)
         return _call(
             function,

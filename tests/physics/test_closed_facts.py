@@ -1,5 +1,7 @@
 """Facts that hold at machine precision, on the right-hand side alone."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -47,7 +49,9 @@ def test_rolling_disc_equations(tilt):
     found = spin @ np.asarray(rates.angular_velocity)
     dots, frame = disc_accelerations(I, J, m, a, g, tilt, node)
     exact = dots + np.cross(frame, node)  # absolute derivative on the node axes
-    np.testing.assert_allclose(found, exact, rtol=0, atol=ROUNDING * np.abs(exact).max())
+    np.testing.assert_allclose(
+        found, exact, rtol=0, atol=ROUNDING * np.abs(exact).max()
+    )
 
 
 def test_torus_converges_to_the_sharp_rim():
@@ -65,7 +69,7 @@ def test_torus_converges_to_the_sharp_rim():
         np.abs(acceleration(rk.Torus(0.25, r)) - rim).max() for r in (1e-2, 1e-4, 1e-6)
     ]
     assert gaps[0] < 1.0
-    for wide, narrow in zip(gaps, gaps[1:], strict=False):
+    for wide, narrow in itertools.pairwise(gaps):
         assert 0.9e-2 < narrow / wide < 1.1e-2
 
 
@@ -80,8 +84,10 @@ def support_point(direction, axes):
 DESCRIPTIONS = {
     "direction": rk.Parametric(support_point, SEMI_AXES, of_direction=True),
     "chart": rk.Parametric(
-        lambda u, v, s: s
-        * jnp.stack([jnp.cos(v) * jnp.cos(u), jnp.cos(v) * jnp.sin(u), jnp.sin(v)]),
+        lambda u, v, s: (
+            s
+            * jnp.stack([jnp.cos(v) * jnp.cos(u), jnp.cos(v) * jnp.sin(u), jnp.sin(v)])
+        ),
         SEMI_AXES,
     ),
     "implicit": rk.Implicit(lambda p, s: jnp.sum((p / s) ** 2) - 1.0, SEMI_AXES),

@@ -18,9 +18,9 @@ from .. import problems
 def x_of_disc(spin, end, rtol=1e-10):
     """x of the mass centre of P2 at the end (the origin is the mass centre)."""
     scene, start = problems.disc(spin)
-    return rk.simulate(scene, start, jnp.stack([jnp.zeros(()), end]), rtol=rtol).position[
-        -1, 0
-    ]
+    return rk.simulate(
+        scene, start, jnp.stack([jnp.zeros(()), end]), rtol=rtol
+    ).position[-1, 0]
 
 
 def spin_of_rattleback(spin, end, rtol=1e-10):
@@ -31,17 +31,22 @@ def spin_of_rattleback(spin, end, rtol=1e-10):
 
 
 DISC_SPIN = 6.0 + 1.5 * np.cos(np.deg2rad(70.0))
-STONE_SPIN = float((problems.matrix(
-    problems.product(problems.turn(0, 0.5), problems.turn(1, 0.5))
-).T @ [0.0, 0.0, -5.0])[2])
+STONE_SPIN = float(
+    (
+        problems.matrix(
+            problems.product(problems.turn(0, 0.5), problems.turn(1, 0.5))
+        ).T
+        @ [0.0, 0.0, -5.0]
+    )[2]
+)
 
 forward = {
-    f: jax.jit(lambda x, end, rtol, f=f: jax.jvp(lambda x: f(x, end, rtol), (x,), (1.0,)))
+    f: jax.jit(
+        lambda x, end, rtol, f=f: jax.jvp(lambda x: f(x, end, rtol), (x,), (1.0,))
+    )
     for f in (x_of_disc, spin_of_rattleback)
 }
-reverse = {
-    f: jax.jit(jax.value_and_grad(f)) for f in (x_of_disc, spin_of_rattleback)
-}
+reverse = {f: jax.jit(jax.value_and_grad(f)) for f in (x_of_disc, spin_of_rattleback)}
 
 
 @pytest.mark.parametrize(
@@ -66,7 +71,10 @@ import sys
 import jax
 jax.config.update("jax_enable_x64", True)
 from tests.physics import test_gradients as t
-for f, spin, end in ((t.x_of_disc, t.DISC_SPIN, 10.0), (t.spin_of_rattleback, t.STONE_SPIN, 5.0)):
+for f, spin, end in (
+    (t.x_of_disc, t.DISC_SPIN, 10.0),
+    (t.spin_of_rattleback, t.STONE_SPIN, 5.0),
+):
     ahead = float(t.forward[f](spin, end, 1e-12)[1])
     back = float(t.reverse[f](spin, end, 1e-12)[1])
     print(abs(ahead - back) / abs(ahead))
@@ -104,10 +112,14 @@ def bowl(parameters):
             surface=rk.Ellipsoid(parameters["semi_axes"]),
             center_of_mass=parameters["com"],
         ),
-        rk.Base(rk.Graph(lambda x, y, p: p[0] * x**2 + p[1] * y**2, parameters["bowl"])),
+        rk.Base(
+            rk.Graph(lambda x, y, p: p[0] * x**2 + p[1] * y**2, parameters["bowl"])
+        ),
         loads=(rk.Gravity(parameters["gravity"]),),
     )
-    contact = jnp.stack([parameters["x"], jnp.zeros(()), parameters["bowl"][0] * parameters["x"] ** 2])
+    contact = jnp.stack(
+        [parameters["x"], jnp.zeros(()), parameters["bowl"][0] * parameters["x"] ** 2]
+    )
     start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), parameters["omega"], contact)
     result = rk.simulate(scene, start, np.linspace(0.0, 0.7, 4), rtol=1e-11)
     return (

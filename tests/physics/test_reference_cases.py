@@ -110,7 +110,9 @@ def test_ball_leaves_the_sphere_at_ten_seventeenths():
     assert np.isnan(float(rk.simulate(scene, start, times * 0.5).first_pull))
 
 
-@pytest.mark.parametrize(("name", "make"), [("P2", problems.disc), ("P3", problems.rattleback)])
+@pytest.mark.parametrize(
+    ("name", "make"), [("P2", problems.disc), ("P3", problems.rattleback)]
+)
 def test_benchmark_problem(name, make):
     reference = problems.load("bench")[name]
     scene, start = make()
@@ -144,4 +146,6 @@ def test_backwards_in_time_returns_to_the_start():
         jax.tree.leaves(back.final_state), jax.tree.leaves(start), strict=True
     ):
         steps = there.steps + back.steps
-        assert float(jnp.max(jnp.abs(a - b), initial=0.0)) <= promised(steps, 1e-11, 8.0)
+        assert float(jnp.max(jnp.abs(a - b), initial=0.0)) <= promised(
+            steps, 1e-11, 8.0
+        )

@@ -97,6 +97,9 @@ def test_single_precision():
     assert found.position.dtype == jnp.float32
     assert bool(found.succeeded)
     # some 70 steps of the default rtol 1e-5 on numbers up to 8 rad/s, over sizes 0.25 m
-    assert float(jnp.max(jnp.abs(found.position - exact.position.astype(jnp.float32)))) < 1e-3
+    assert (
+        float(jnp.max(jnp.abs(found.position - exact.position.astype(jnp.float32))))
+        < 1e-3
+    )
     energy = np.asarray(found.energy)
     assert np.ptp(energy) < 1e-3 * energy[0]

@@ -56,7 +56,9 @@ def through(surface, permutation, R, base=None, contact=(0.0, 0.0, 0.0)):
     for times in (TIMES, -TIMES):
         result = rk.simulate(scene, start, times, rtol=1e-12)
         assert bool(result.succeeded)
-        rotation = np.stack([problems.matrix(q) for q in np.asarray(result.orientation)])
+        rotation = np.stack(
+            [problems.matrix(q) for q in np.asarray(result.orientation)]
+        )
         out.append((np.asarray(result.position), rotation @ P))
         energy = np.asarray(result.energy)
         assert np.ptp(energy) < PROMISE * abs(energy[0])

@@ -45,6 +45,7 @@ def test_summary():
     for part in (
         "spin +4.99962 ->",
         "reversals 2.7611, 2.7803,",
+        "about body axis z reversals",
         "energy drift",
         "accepted,",
         "normal force 1.683 N at least, t = 2.49 s",

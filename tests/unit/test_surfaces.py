@@ -1,4 +1,4 @@
-"""Every surface of the catalogue: closed forms, charts against pole-free coordinates."""
+"""Every surface of the catalogue: closed forms, charts, pole-free coordinates."""
 
 import jax
 import jax.numpy as jnp
@@ -31,16 +31,18 @@ SURFACES = {
     "funnel": rk.Cone(0.7, inside=True),
     "graph": rk.Graph(lambda x, y, p: p * x * x + jnp.sin(y) * x, 0.3),
     "chart": rk.Parametric(
-        lambda u, v: jnp.stack([jnp.cos(u) * jnp.cos(v), jnp.sin(u) * jnp.cos(v), jnp.sin(v)])
+        lambda u, v: jnp.stack(
+            [jnp.cos(u) * jnp.cos(v), jnp.sin(u) * jnp.cos(v), jnp.sin(v)]
+        )
     ),
-    "direction": rk.Parametric(lambda d: d * (1.0 + 0.2 * d[0] ** 2), of_direction=True),
+    "direction": rk.Parametric(
+        lambda d: d * (1.0 + 0.2 * d[0] ** 2), of_direction=True
+    ),
     "implicit": rk.Implicit(lambda x, y, z: x * x + 2 * y * y + 3 * z**4 - 0.1),
     "closed revolution": rk.Revolution(ball),
     "bowl": rk.Revolution(lambda s: (s, s * s), domain=(0.0, 1.0), inside=True),
     "dome": rk.Revolution(lambda s: (1.0 - s, s * (2.0 - s)), domain=(0.0, 1.0)),
-    "diabolo": rk.Revolution(
-        lambda s: (0.2 + 0.1 * s * s, s), domain=(-0.5, 0.5)
-    ),
+    "diabolo": rk.Revolution(lambda s: (0.2 + 0.1 * s * s, s), domain=(-0.5, 0.5)),
 }
 CHARTS = {name: s for name, s in SURFACES.items()} | {"rim": rk.DiscEdge(0.3)}
 
@@ -67,7 +69,10 @@ def test_position_moves_by_lengths_and_normal_by_frame_rates(name):
 @pytest.mark.parametrize("name", CHARTS)
 def test_frames_are_right_handed_and_orthonormal(name):
     surface = CHARTS[name]
-    found = [surface.geometry(coordinates(surface)), surface.chart_geometry(jnp.array([0.4, 0.3]))]
+    found = [
+        surface.geometry(coordinates(surface)),
+        surface.chart_geometry(jnp.array([0.4, 0.3])),
+    ]
     for geometry in found:
         E = np.asarray(geometry.frame)
         np.testing.assert_allclose(E.T @ E, np.eye(3), atol=TIGHT)
@@ -82,13 +87,13 @@ def test_chart_geometry_equals_its_definition(name):
     geometry = surface.chart_geometry(q)
     moves = jax.jacfwd(surface.chart_geometry)(q)
     E = geometry.frame
-    np.testing.assert_allclose(
-        moves.position, E[:, :2] @ geometry.lengths, atol=TIGHT
-    )
+    np.testing.assert_allclose(moves.position, E[:, :2] @ geometry.lengths, atol=TIGHT)
     np.testing.assert_allclose(
         E[:, :2].T @ moves.frame[:, 2], -geometry.frame_rates, atol=10 * TIGHT
     )
-    np.testing.assert_allclose(E[:, 1] @ moves.frame[:, 0], geometry.spin_rates, atol=10 * TIGHT)
+    np.testing.assert_allclose(
+        E[:, 1] @ moves.frame[:, 0], geometry.spin_rates, atol=10 * TIGHT
+    )
 
 
 @pytest.mark.parametrize("name", SURFACES)
@@ -117,14 +122,24 @@ def test_chart_and_coordinates_describe_one_surface(name):
         (rk.Torus(0.5, 0.1), (0.4, 0, 0), (-1, 0, 0), (-10, 1 / 0.4)),
         (rk.Plane(), (3.0, 2.0, 0), (0, 0, 1), (0, 0)),
         (rk.Graph(lambda x, y: x * x - y * y), (0, 0, 0), (0, 0, 1), (-2, 2)),
-        # a funnel of slope 1 seen from above: curved once, by cos(45)/r towards the axis
-        (rk.Cone(1.0, inside=True), (1.0, 0, 1.0), (-(0.5**0.5), 0, 0.5**0.5), (0, 0.5**0.5)),
+        # a funnel of slope 1 from above: curved once, by cos(45)/r towards the axis
+        (
+            rk.Cone(1.0, inside=True),
+            (1.0, 0, 1.0),
+            (-(0.5**0.5), 0, 0.5**0.5),
+            (0, 0.5**0.5),
+        ),
         (rk.Cone(1.0), (1.0, 0, 1.0), (0.5**0.5, 0, -(0.5**0.5)), (-(0.5**0.5), 0)),
         (SURFACES["closed revolution"], (0.3, 0, 0), (1, 0, 0), (-1 / 0.3, -1 / 0.3)),
         (SURFACES["bowl"], (0, 0, 0), (0, 0, 1), (2, 2)),
         (SURFACES["dome"], (0, 0, 1.0), (0, 0, 1), (-2, -2)),
         (SURFACES["diabolo"], (0.2, 0, 0), (1, 0, 0), (-5, 0.2)),
-        (rk.Implicit(lambda p: jnp.sum(p * p) - 0.25), (0, 0.5, 0), (0, 1, 0), (-2, -2)),
+        (
+            rk.Implicit(lambda p: jnp.sum(p * p) - 0.25),
+            (0, 0.5, 0),
+            (0, 1, 0),
+            (-2, -2),
+        ),
     ],
 )
 def test_closed_forms(surface, point, normal, curvatures):
@@ -140,7 +155,9 @@ def test_forms_of_a_chart():
     q = jnp.array([0.3, 0.8])
     ring = 0.5 + 0.2 * np.cos(0.8)
     geometry = rk.Torus(0.5, 0.2).chart_geometry(q)
-    np.testing.assert_allclose(geometry.first_form, np.diag([ring**2, 0.04]), atol=TIGHT)
+    np.testing.assert_allclose(
+        geometry.first_form, np.diag([ring**2, 0.04]), atol=TIGHT
+    )
     second = np.diag([-ring * np.cos(0.8), -0.2])
     np.testing.assert_allclose(geometry.second_form, second, atol=TIGHT)
     inside = rk.Torus(0.5, 0.2, inside=True).chart_geometry(q)
@@ -208,14 +225,20 @@ BAD = {
     "signature": (lambda: rk.Graph(lambda: 0.0), "Graph.f"),
     "vector": (lambda: rk.Graph(lambda x, y: jnp.stack([x, y])), "Graph.f"),
     "math.sin": (lambda: rk.Graph(lambda x, y: __import__("math").sin(x)), "Graph.f"),
-    "pair": (lambda: rk.Parametric(lambda u, v: jnp.stack([u, v])), "Parametric.position"),
+    "pair": (
+        lambda: rk.Parametric(lambda u, v: jnp.stack([u, v])),
+        "Parametric.position",
+    ),
     "domain": (
         lambda: rk.Graph(lambda x, y: x, domain=((1.0, -1.0), (0.0, 1.0))),
         "Graph.domain",
     ),
     "size": (lambda: rk.Implicit(lambda p: p[0], size=-1.0), "Implicit.size"),
     "meridian": (lambda: rk.Revolution(lambda s: s), "Revolution.profile"),
-    "poles": (lambda: rk.Revolution(ball, poles=(1, 0), rising=True), "Revolution.poles"),
+    "poles": (
+        lambda: rk.Revolution(ball, poles=(1, 0), rising=True),
+        "Revolution.poles",
+    ),
 }
 
 

@@ -13,4 +13,5 @@ from .given import Parametric as Parametric
 from .kinds import AbstractNormalSurface as AbstractNormalSurface
 from .kinds import AbstractPointSurface as AbstractPointSurface
 from .kinds import AbstractSurface as AbstractSurface
+from .kinds import PointOfNormal as PointOfNormal
 from .revolution import Revolution as Revolution

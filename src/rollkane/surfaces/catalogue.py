@@ -254,7 +254,7 @@ class Torus(AbstractPairSurface):
         )
 
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
-        """On a plane, the outer half by its normal; else the torus carries its point."""
+        """On a plane, the outer half by its normal; else None."""
         if not against_plane or self.inside:
             return None
         return lambda normal: _around_rim(self.major_radius, self.minor_radius, normal)

@@ -243,7 +243,7 @@ class Implicit(AbstractPointSurface):
         return self.onto(u)
 
     def _along_ray(self, direction: Float[Array, "3"]) -> Float[Array, "3"]:
-        """First surface point from the centre along a direction; NaN if there is none."""
+        """First surface point from the centre along a direction; NaN for none."""
         steps = jnp.linspace(0.0, 1.0, 65, dtype=self.size.dtype)[1:] * self.size
         levels = jax.vmap(lambda r: self.f(self.center + r * direction))(steps)
         outside = levels > 0
@@ -261,7 +261,7 @@ class Implicit(AbstractPointSurface):
         r = jnp.where(jnp.any(outside), 0.5 * (low + high), jnp.nan)
         return self.onto(self.center + r * direction)
 
-    def samples(self) -> np.ndarray:
+    def samples(self) -> Array:
         """Surface points along rays from the centre; needs known numbers."""
         rays = jnp.asarray(sphere_of_directions(400), dtype=self.size.dtype)
         return jax.lax.stop_gradient(jax.vmap(self._along_ray)(rays))

@@ -41,15 +41,15 @@ class AbstractSurface(eqx.Module):
     def coordinate_rates(
         self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, " k"]:
-        """Rates of ``u`` for local rates ``x`` [1/s]; linear in a direction's length."""
+        """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
 
     @abc.abstractmethod
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         """Coordinates of the surface point at, or near, a point [m]."""
 
     @abc.abstractmethod
-    def samples(self) -> np.ndarray:
-        """Coordinates spread over the whole surface, shape (n, k): seeds of searches."""
+    def samples(self) -> np.ndarray | Array:
+        """Coordinates over the whole surface, shape (n, k): seeds of searches."""
 
     @abc.abstractmethod
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
@@ -269,7 +269,7 @@ def direction_chart(
 
 
 def sphere_of_directions(count: int) -> np.ndarray:
-    """Directions spread evenly over the sphere (Fibonacci lattice), shape (count, 3)."""
+    """Directions spread evenly (Fibonacci lattice), shape (count, 3)."""
     k = np.arange(count) + 0.5
     z = 1.0 - 2.0 * k / count
     angle = np.pi * (1.0 + 5.0**0.5) * k

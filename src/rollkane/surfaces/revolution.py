@@ -1,4 +1,4 @@
-"""Surfaces of revolution by their meridian, smooth where the meridian meets the axis."""
+"""Surfaces of revolution by their meridian, smooth where it meets the axis."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..checks import FieldError, flag
+from ..checks import FieldError, flag, is_traced
 from ..geometry import LocalGeometry, from_chart
 from ..small_linear import components, norm
 from ..user_function import UserFunction, check_output
@@ -235,8 +235,8 @@ def _meridian(profile: UserFunction) -> Callable[[Array], Array]:
 
 def _ends(meridian, domain) -> tuple[tuple[bool, bool], bool]:
     """Which ends are poles, and whether the meridian rises, by evaluation."""
-    places = jax.vmap(meridian)(jnp.linspace(*domain, 65))
-    if isinstance(places, jax.core.Tracer):
+    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], 65))
+    if is_traced(places):
         raise FieldError(
             "Revolution.poles",
             None,

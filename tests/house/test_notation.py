@@ -1,0 +1,44 @@
+"""docs/notation.md is true: every name in it is in the code, with its unit."""
+
+import inspect
+import re
+from pathlib import Path
+
+import rollkane as rk
+from rollkane import bodies, contact
+
+TABLE = (Path(__file__).parents[2] / "docs" / "notation.md").read_text()
+OWNERS = {
+    "LocalGeometry": rk.LocalGeometry,
+    "Contact": contact.Contact,
+    "State": rk.State,
+    "Trajectory": rk.Trajectory,
+    "bodies": bodies,
+}
+
+
+def rows():
+    lines = [line for line in TABLE.splitlines() if line.startswith("| ")][1:]
+    for line in lines:
+        _, name, _, unit, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+        for owner, attribute in re.findall(r"`(\w+)\.(\w+)`", name):
+            yield owner, attribute, unit
+
+
+def test_every_name_is_in_the_code():
+    found = list(rows())
+    assert len(found) > 20
+    for owner, attribute, _ in found:
+        thing = OWNERS[owner]
+        fields = getattr(thing, "__dataclass_fields__", {})
+        assert hasattr(thing, attribute) or attribute in fields, (owner, attribute)
+
+
+def test_every_name_is_documented_with_its_unit():
+    for owner, attribute, unit in rows():
+        text = inspect.getdoc(OWNERS[owner]) or ""
+        own = inspect.getdoc(getattr(OWNERS[owner], attribute, None)) or ""
+        assert attribute in text or own
+        first = unit.split(" per")[0]
+        if first:
+            assert re.search(rf"\[{re.escape(first)}", text + own), (attribute, unit)
