@@ -24,6 +24,7 @@ from peers.problems import PROBLEMS, end_error
 SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=16384"
 TARGETS = (1e-8, 1e-10)
 TOLERANCES = tuple(10.0**-k for k in (7, 8, 9, 10, 11, 12))
+ARRAY_TOLERANCES = (1e-8, 1e-9, 1e-10, 1e-11)
 SOLVERS = ("Tsit5", "Dopri5", "Dopri8")
 
 
@@ -155,9 +156,14 @@ def peer_rows(repeats):
                 result = library.solve(name, rtol, 0.01 * rtol)
                 spans = library.seconds(name, rtol, 0.01 * rtol, 20, repeats)
                 found.append(("C DOPRI5", result, spans))
-            result = scipy_dop853.solve(name, rtol, 0.01 * rtol)
-            spans = scipy_dop853.seconds(name, rtol, 0.01 * rtol, max(3, repeats // 5))
-            found.append(("SciPy DOP853", result, spans))
+            for arrays in (False, True):
+                if arrays and rtol not in ARRAY_TOLERANCES:
+                    continue  # 10 s a solve
+                samples = 1 if arrays else max(3, repeats // 5)
+                result = scipy_dop853.solve(name, rtol, 0.01 * rtol, arrays)
+                spans = scipy_dop853.seconds(name, rtol, 0.01 * rtol, samples, arrays)
+                peer = "SciPy DOP853, " + ("NumPy arrays" if arrays else "scalars")
+                found.append((peer, result, spans))
             for peer, result, spans in found:
                 error = end_error(problem, result.y_end)
                 rows.append(
@@ -188,8 +194,8 @@ def at_error(rows, problem, peer, target):
     return seconds, seconds / steps
 
 
-def print_tables(rows, notes):
-    """Every run, then all peers at equal error against C."""
+def print_runs(rows):
+    """Every run."""
     head = f"{'problem':8}{'peer':28}{'rtol':>7}{'end error':>11}{'ms':>10}"
     print(head + f"{'steps':>8}{'us/step':>9}{'compile s':>11}{'equations':>11}")
     for r in rows:
@@ -199,45 +205,54 @@ def print_tables(rows, notes):
         if "compile" in r:
             line += f"{r['compile']:11.2f}{r['equations']:11d}"
         print(line)
+
+
+def compare(rows, problem, target):
+    """All peers at one end error, against C and against both SciPy peers."""
     peers = list(dict.fromkeys(r["peer"] for r in rows))
+    found = {peer: at_error(rows, problem, peer, target) for peer in peers}
+
+    def over(a, b, k):
+        return a[k] / b[k] if a and b else None
+
+    c = found.get("C DOPRI5")
+    scalars, arrays = (
+        found.get(f"SciPy DOP853, {x}") for x in ("scalars", "NumPy arrays")
+    )
+    return [
+        {
+            "problem": problem,
+            "error": target,
+            "peer": peer,
+            "seconds": it[0],
+            "seconds_per_step": it[1],
+            "time_over_c": over(it, c, 0),
+            "step_over_c": over(it, c, 1),
+            "scipy_scalars_over_it": over(scalars, it, 0),
+            "scipy_arrays_over_it": over(arrays, it, 0),
+        }
+        for peer, it in found.items()
+        if it
+    ]
+
+
+def print_comparison(equal):
+    """The comparison at equal end error as a table."""
     print("\nAt equal end error (larger of position [m] and rotation [rad]):")
     head = f"{'problem':8}{'error':>7}  {'peer':28}{'ms':>10}{'us/step':>9}"
-    print(head + f"{'time / C':>10}{'step / C':>10}{'SciPy / it':>12}")
-    equal = []
-    for problem in PROBLEMS:
-        for target in TARGETS:
-            c = at_error(rows, problem, "C DOPRI5", target)
-            scipy = at_error(rows, problem, "SciPy DOP853", target)
-            for peer in peers:
-                found = at_error(rows, problem, peer, target)
-                if found is None:
-                    continue
-                seconds, step = found
-                line = f"{problem:8}{target:7.0e}  {peer:28}{1e3 * seconds:10.3f}"
-                line += f"{1e6 * step:9.3f}"
-                ratios = [None, None, None]
-                if c:
-                    ratios[:2] = seconds / c[0], step / c[1]
-                if scipy:
-                    ratios[2] = scipy[0] / seconds
-                for ratio, width in zip(ratios, (10, 10, 12), strict=True):
-                    line += " " * width if ratio is None else f"{ratio:{width}.2f}"
-                print(line)
-                equal.append(
-                    {
-                        "problem": problem,
-                        "error": target,
-                        "peer": peer,
-                        "seconds": seconds,
-                        "seconds_per_step": step,
-                        "time_over_c": ratios[0],
-                        "step_over_c": ratios[1],
-                        "scipy_over_it": ratios[2],
-                    }
-                )
-    for note in notes:
-        print(note)
-    return equal
+    print(head + f"{'time/C':>9}{'step/C':>9}{'scalars/it':>12}{'arrays/it':>12}")
+    for row in equal:
+        line = f"{row['problem']:8}{row['error']:7.0e}  {row['peer']:28}"
+        line += f"{1e3 * row['seconds']:10.3f}{1e6 * row['seconds_per_step']:9.3f}"
+        for key, width in (
+            ("time_over_c", 9),
+            ("step_over_c", 9),
+            ("scipy_scalars_over_it", 12),
+            ("scipy_arrays_over_it", 12),
+        ):
+            ratio = row[key]
+            line += " " * (width - 1) + "-" if ratio is None else f"{ratio:{width}.2f}"
+        print(line)
 
 
 def draw(rows, path):
@@ -286,7 +301,11 @@ def main():
     rows, notes = peer_rows(options.repeats)
     for setting in (True, False):
         rows += rollkane_rows(setting, options.repeats)
-    equal = print_tables(rows, notes)
+    print_runs(rows)
+    equal = [row for p in PROBLEMS for t in TARGETS for row in compare(rows, p, t)]
+    print_comparison(equal)
+    for note in notes:
+        print(note)
     options.out.mkdir(parents=True, exist_ok=True)
     figures = {"runs": rows, "equal_error": equal, "notes": notes}
     (options.out / "single.json").write_text(json.dumps(figures, indent=1))

@@ -2,8 +2,8 @@
 
 The state is unpacked into Python floats by `tolist` and worked on with `math.sqrt`.
 The usual small-array style (`np.cross`, `@`, `np.linalg.solve` on vectors of three)
-is kept below as `rhs_arrays` for P3: it gives the same numbers and was measured some 40
-times slower per call (130 against 3 us). `check.py` repeats that measurement.
+is `rhs_arrays`: it gives the same numbers and was measured some 40 times slower per
+call (130 against 3 us). `check.py` repeats that measurement. Both are peers.
 """
 
 import time
@@ -127,9 +127,13 @@ def rattleback(problem: dict[str, Any]) -> Rhs:
 
 
 def rhs_arrays(problem: dict[str, Any]) -> Rhs:
-    """Return the right-hand side of P3 in small-array style, for comparison only."""
+    """Return the right-hand side in small-array NumPy style."""
     mass, com = problem["mass"], np.array(problem["com"])
-    squares = np.square(problem["surface"]["semi_axes"])
+    surface = problem["surface"]
+    rim = surface["kind"] == "rim"
+    # a rim is the support function of a flat ellipse: radius^2 in its plane, 0 across
+    axes = [surface["radius"]] * 2 + [0.0] if rim else surface["semi_axes"]
+    squares = np.square(axes)
     inertia, unit = np.array(problem["inertia"]), np.eye(3)
 
     def rhs(_t: float, y: np.ndarray) -> Any:
@@ -154,12 +158,13 @@ def rhs_arrays(problem: dict[str, Any]) -> Rhs:
 
 
 RHS = {"P2": disc(PROBLEMS["P2"]), "P3": rattleback(PROBLEMS["P3"])}
+ARRAYS = {name: rhs_arrays(problem) for name, problem in PROBLEMS.items()}
 
 
-def solve(name: str, rtol: float, atol: float) -> PeerResult:
+def solve(name: str, rtol: float, atol: float, arrays: bool = False) -> PeerResult:
     """Integrate a problem to its end; raise RuntimeError when it fails."""
     done = solve_ivp(
-        RHS[name],
+        (ARRAYS if arrays else RHS)[name],
         (0.0, PROBLEMS[name]["t_end"]),
         np.array(INITIAL[name]),
         method="DOP853",
@@ -173,11 +178,13 @@ def solve(name: str, rtol: float, atol: float) -> PeerResult:
     return PeerResult(done.y[:, -1].tolist(), accepted, rejected, done.nfev)
 
 
-def seconds(name: str, rtol: float, atol: float, samples: int) -> list[float]:
+def seconds(
+    name: str, rtol: float, atol: float, samples: int, arrays: bool = False
+) -> list[float]:
     """Return `samples` wall times per solve [s]."""
     times = []
     for _ in range(samples):
         start = time.perf_counter()
-        solve(name, rtol, atol)
+        solve(name, rtol, atol, arrays)
         times.append(time.perf_counter() - start)
     return times

@@ -115,20 +115,20 @@ def _checked_contact(fit: _Fit, point: Array) -> Array:
     field = "place.contact_on_base"
     on_base = refuse(
         fit.on_base,
+        fit.singular,
+        field,
+        "a surface or its chart is singular where they touch (a tip without a tangent "
+        "plane, or the pole of a chart, where two coordinates count for one)",
+        "touch elsewhere, or describe the surface without poles, for example with "
+        "of_direction=True",
+    )
+    on_base = refuse(
+        on_base,
         fit.off_base,
         field,
         f"{_list(point)} is off the base's surface, whose nearest point is "
         f"{_list(fit.nearest)}",
         "give a point of the surface [m], in base axes",
-    )
-    on_base = refuse(
-        on_base,
-        fit.singular,
-        field,
-        "the chart of a surface is singular where they touch (a pole: two coordinates "
-        "that no longer count)",
-        "describe that surface without poles, for example of_direction=True, or turn "
-        "its chart",
     )
     on_base = refuse(
         on_base,

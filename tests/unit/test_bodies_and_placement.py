@@ -160,7 +160,7 @@ BAD_PLACES = {
     "tip": (
         lambda: (rk.Scene(body(), rk.Base(rk.Cone(-1.0, inside=True))), LEVEL, ORIGIN),
         "contact_on_base",
-        "got",
+        "singular",
     ),
     "graph that faces elsewhere": (
         lambda: (
