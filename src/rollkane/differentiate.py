@@ -101,11 +101,13 @@ class _Replay:
         adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=self.checkpoints)
         outputs_of, varied, unreached = self._prepare(residuals, adjoint)
         # whoever asks for what was not reached gets NaN; who does not, loses nothing
-        cotangents = [
-            jnp.where(u & (c != 0), jnp.nan, c)
-            for u, c in zip(unreached, cotangents, strict=True)
-        ]
-        return jax.vjp(outputs_of, varied)[1](cotangents)[0]
+        asked = jnp.zeros((), bool)
+        known = []
+        for missing, cotangent in zip(unreached, cotangents, strict=True):
+            asked |= jnp.any(missing & (cotangent != 0))
+            known.append(jnp.where(missing, 0.0, cotangent))
+        moved = jax.vjp(outputs_of, varied)[1](known)[0]
+        return [jnp.where(asked, jnp.nan, m) for m in moved]
 
 
 def _no_tangent(x):

@@ -79,10 +79,15 @@ class ReplaySteps(dfx.AbstractStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        """Next recorded step."""
+        """Next recorded step; the run ends where its record does."""
         del t0, y0, y1_candidate, args, y_error, error_order
         following = self.times[controller_state]
-        return True, t1, following, False, controller_state + 1, dfx.RESULTS.successful
+        recorded = jnp.isfinite(following)
+        result = dfx.RESULTS.where(
+            recorded, dfx.RESULTS.successful, dfx.RESULTS.max_steps_reached
+        )
+        following = jnp.where(recorded, following, t1)
+        return True, t1, following, False, controller_state + 1, result
 
 
 def first_step(
