@@ -78,6 +78,7 @@ def test_gravity_is_not_in_a_scene_without(counts):
 def test_a_second_call_compiles_nothing(caplog):
     """Other numbers, same structure: scene, start, tolerance and times may change."""
     first, second = problems.disc(), problems.disc(5.0, 0.31)
+    jax.clear_caches()  # whatever other tests of this process have compiled
     with jax.log_compiles(True), caplog.at_level(logging.WARNING):
         result = rk.simulate(*first, (0.0, 0.1, 0.2), rtol=1e-8)
         jax.block_until_ready((result.position, result.energy))
