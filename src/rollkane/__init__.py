@@ -10,15 +10,29 @@ from typing import TYPE_CHECKING
 __version__ = "0.1.0"
 
 _ROOMS = {
+    "accelerograms": (
+        "Accelerogram",
+        "builtin_record",
+        "read_at2",
+        "read_single_column",
+        "read_two_column",
+        "read_v2a",
+    ),
+    "base_motion": ("BaseMotion", "Spin"),
     "bodies": ("Body",),
     "checks": ("FieldError",),
     "coordinates": ("State",),
+    "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
     "loads": ("Gravity",),
     "placement": ("place",),
-    "rolling": ("rolling_derivative",),
+    "quasi_velocities": ("PaperQuantities", "paper_quantities"),
+    "recorded_motion": ("RecordedMotion",),
+    "rolling": ("contact_of", "rolling_derivative"),
     "scene": ("Base", "Rolling", "Scene"),
     "simulation": ("simulate",),
+    "state_conversion": ("to_pole_free", "to_voronets"),
+    "supported": ("PointMasses", "Prescribed", "SupportedBody"),
     "surfaces": (
         "Cone",
         "Cylinder",
@@ -33,6 +47,7 @@ _ROOMS = {
         "Torus",
     ),
     "trajectory": ("Code", "Trajectory"),
+    "voronets": ("VoronetsState",),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

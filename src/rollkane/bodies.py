@@ -46,7 +46,7 @@ class Body(eqx.Module):
         self.center_of_mass = real(
             "Body.center_of_mass", center_of_mass, (3,), "three lengths in metres"
         )
-        self.inertia = _checked_inertia(inertia)
+        self.inertia = checked_inertia("Body.inertia", inertia)
         if not isinstance(surface, AbstractSurface):
             raise FieldError(
                 "Body.surface",
@@ -57,8 +57,17 @@ class Body(eqx.Module):
         self.surface = surface
 
 
-def _checked_inertia(inertia) -> Float[Array, "3 3"]:
-    field = "Body.inertia"
+def checked_inertia(field: str, inertia) -> Float[Array, "3 3"]:
+    """An inertia tensor about a mass centre that some distribution of mass can have.
+
+    Args:
+        field: Name used in the error.
+        inertia: Tensor [kg m^2], shape (3, 3).
+
+    Raises:
+        FieldError: not symmetric, not positive definite, or against the triangle
+            inequality.
+    """
     tensor = real(field, inertia, (3, 3), "the 3 x 3 tensor in kg m^2")
     # rounding of the user's own arithmetic: 1e-9 of the largest entry is 1e7 ulp
     slack = 1e-9 if tensor.dtype == jnp.float64 else 1e-4

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .base_motion import BaseKinematics
 from .geometry import LocalGeometry, from_normal, travel
 from .rotations import multiply, rotation_matrix, shortest_turn
 from .small_linear import (
@@ -27,32 +28,80 @@ class Contact(eqx.Module):
     """The contact of a rolling body at one instant.
 
     Attributes:
-        orientation: Quaternion, scalar first, body to fixed, of any length [1].
+        orientation: Quaternion, scalar first, body to fixed, of any length [1]; None
+            where the coordinates hold none.
         rotation: ``R_NB``, body to fixed axes [1], shape (3, 3).
+        to_base: ``R_CB``, body to base axes [1], shape (3, 3); the same as
+            ``rotation`` where the base does not turn.
+        angular_velocity: ``w``, absolute [rad/s], body axes, shape (3,).
         normal: Unit normal out of the body [1], body axes, shape (3,).
-        body_point: Contact point from the body origin [m], body axes, shape (3,).
-        base_point: Contact point [m], base axes, shape (3,).
+        body_point: ``rho``, contact point from the body origin [m], body axes, (3,).
+        base_point: ``rho_c``, contact point [m], base axes, shape (3,).
         velocity: ``V``, of the contact point along either surface [m/s], body axes.
         body_rates: Rates of the body's contact coordinates [1/s]; shape (0,) where
             the body is given by its normal.
         base_rates: Rates of the base's contact coordinates [1/s], shape (k,).
+        base: Motion of the base at this instant; None: at rest.
+        base_angular_velocity: ``w_c`` [rad/s], body axes; None: it does not turn.
 
-    Source: theory, sections 6, 7 and 8.1, with s = -1 (both normals outwards).
+    Source: theory, sections 1, 6, 7 and 8.1.
     """
 
-    orientation: Float[Array, "4"]
+    orientation: Float[Array, "4"] | None
     rotation: Float[Array, "3 3"]
+    to_base: Float[Array, "3 3"]
+    angular_velocity: Float[Array, "3"]
     normal: Float[Array, "3"]
     body_point: Float[Array, "3"]
     base_point: Float[Array, "3"]
     velocity: Float[Array, "3"]
     body_rates: Float[Array, " m"]
     base_rates: Float[Array, " k"]
+    base: BaseKinematics | None
+    base_angular_velocity: Float[Array, "3"] | None
 
     @property
     def position(self) -> Float[Array, "3"]:
-        """Body origin O [m], fixed axes (base axes; the base is at rest)."""
-        return self.base_point - matvec(self.rotation, self.body_point)
+        """Body origin O [m], fixed axes (theory, section 1: pose map)."""
+        return self.place - matvec(self.rotation, self.body_point)
+
+    @property
+    def place(self) -> Float[Array, "3"]:
+        """Contact point [m], fixed axes."""
+        return (
+            self.base_point if self.base is None else self.base.placed(self.base_point)
+        )
+
+    @property
+    def base_velocity(self) -> Float[Array, "3"] | None:
+        """``j``, of the base's material point at the contact [m/s], body axes."""
+        return self._of_base(BaseKinematics.velocity_at)
+
+    @property
+    def base_acceleration(self) -> Float[Array, "3"] | None:
+        """``a_b``, of the base's material point [m/s^2], body axes (theory 4.1)."""
+        return self._of_base(BaseKinematics.acceleration_at)
+
+    def _of_base(self, quantity) -> Float[Array, "3"] | None:
+        moving = None if self.base is None else quantity(self.base, self.base_point)
+        return None if moving is None else matvec_transposed(self.to_base, moving)
+
+    @property
+    def relative_angular_velocity(self) -> Float[Array, "3"]:
+        """``Om = w - w_c`` [rad/s], body axes."""
+        if self.base_angular_velocity is None:
+            return self.angular_velocity
+        return self.angular_velocity - self.base_angular_velocity
+
+    @property
+    def body_point_acceleration(self) -> Float[Array, "3"]:
+        """``a_P``, of the body's material point at the contact [m/s^2], body axes.
+
+        Source: theory, section 4.1, ``a_P = a_b + V x (w - w_c)`` (rolling).
+        """
+        relative = cross(self.velocity, self.relative_angular_velocity)
+        pushed = self.base_acceleration
+        return relative if pushed is None else pushed + relative
 
 
 def rolling_contact(
@@ -62,56 +111,89 @@ def rolling_contact(
     angular_velocity: Float[Array, "3"],
     on_base: Float[Array, " k"],
     on_body: Float[Array, " m"],
+    moving: BaseKinematics | None = None,
 ) -> Contact:
     """Contact of a body that rolls without slipping.
 
-    The normals obey ``n_body = -n_base``, so with ``r = n_body x w`` the turns of both
+    The normals obey ``n_body = -n_base``, so with ``r = n_body x Om`` the turns of both
     add up, ``K_b x_b + K_c x_c = r`` (K = -W), and the travels agree,
-    ``L_b x_b = L_c x_c``: the system of theory 8.1 for U = 0. Only what cannot vanish
-    is divided by: the turn of a body given by its normal, the length of any other.
+    ``L_b x_b = L_c x_c``: the system of theory 8.1 for U = 0 and s = -1. Only what
+    cannot vanish is divided by: the turn of a body given by its normal, the length of
+    any other.
 
     Args:
         body: Surface of the body, body axes.
         base: Surface of the base, base axes.
         orientation: Quaternion, scalar first, body to fixed, any length [1].
-        angular_velocity: Relative to the base, BODY axes [rad/s].
+        angular_velocity: Absolute, BODY axes [rad/s].
         on_base: Contact coordinates on the base.
         on_body: Contact coordinates on the body; shape (0,) if given by its normal.
+        moving: Motion of the base; None: at rest.
     """
     ground = base.geometry(on_base)
     rotation = rotation_matrix(orientation)
-    normal = -matvec_transposed(rotation, ground.frame[:, 2])
+    to_base = body_to_base(rotation, moving)
+    normal = -matvec_transposed(to_base, ground.frame[:, 2])
     point = body.normal_map(base.is_flat)
+    shell = None
     if point is None:
         shell = body.geometry(on_body)
         orientation, rotation = _aligned(orientation, rotation, shell, normal)
+        to_base = body_to_base(rotation, moving)
         normal = shell.frame[:, 2]
-        turning = cross(normal, angular_velocity)
+    relative, base_turn = relative_spin(angular_velocity, to_base, moving)
+    turning = cross(normal, relative)
+    body_rates = on_body
+    if shell is not None:
         roll = _roll_on_plane if base.is_flat else _roll_on_base
-        velocity, x_body, x_base = roll(shell, ground, rotation, turning)
+        velocity, x_body, x_base = roll(shell, ground, to_base, turning)
         body_point = shell.position
         body_rates = body.coordinate_rates(on_body, shell, x_body)
+    elif base.is_flat:
+        assert point is not None
+        body_point, velocity = jax.jvp(point, (normal,), (turning,))
+        x_base = matvec(to_base[:2], velocity)
     else:
-        turning = cross(normal, angular_velocity)
-        body_rates = on_body
-        if base.is_flat:
-            body_point, velocity = jax.jvp(point, (normal,), (turning,))
-            x_base = matvec(rotation[:2], velocity)
-        else:
-            pair = _tangents_in_body(ground, rotation)
-            shell = from_normal(point, normal, pair)
-            body_point = shell.position
-            velocity, x_base = _roll_by_normal(shell, ground, pair, turning)
+        assert point is not None
+        pair = _tangents_in_body(ground, to_base)
+        shell = from_normal(point, normal, pair)
+        body_point = shell.position
+        velocity, x_base = _roll_by_normal(shell, ground, pair, turning)
     return Contact(
         orientation=orientation,
         rotation=rotation,
+        to_base=to_base,
+        angular_velocity=angular_velocity,
         normal=normal,
         body_point=body_point,
         base_point=ground.position,
         velocity=velocity,
         body_rates=body_rates,
         base_rates=base.coordinate_rates(on_base, ground, x_base),
+        base=moving,
+        base_angular_velocity=base_turn,
     )
+
+
+def body_to_base(
+    rotation: Float[Array, "3 3"], moving: BaseKinematics | None
+) -> Float[Array, "3 3"]:
+    """Body to base axes, ``A_c^T R``."""
+    if moving is None or moving.rotation is None:
+        return rotation
+    return matmul(moving.rotation.T, rotation)
+
+
+def relative_spin(
+    angular_velocity: Float[Array, "3"],
+    to_base: Float[Array, "3 3"],
+    moving: BaseKinematics | None,
+) -> tuple[Float[Array, "3"], Float[Array, "3"] | None]:
+    """``Om = w - w_c`` and ``w_c`` [rad/s], body axes; None: the base does not turn."""
+    if moving is None or moving.angular_velocity is None:
+        return angular_velocity, None
+    base_turn = matvec_transposed(to_base, moving.angular_velocity)
+    return angular_velocity - base_turn, base_turn
 
 
 def _aligned(orientation, rotation, shell: LocalGeometry, normal):

@@ -5,7 +5,10 @@ by coordinates without poles. There are more numbers than degrees of freedom, bu
 pose is an output of the contact, so none of the spare ones can open a gap.
 """
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,7 +21,7 @@ class State(eqx.Module):
 
     Attributes:
         orientation: Quaternion, scalar first, body to fixed axes, of any length [1].
-        angular_velocity: Relative to the base, on BODY axes [rad/s], shape (3,).
+        angular_velocity: Absolute, on BODY axes [rad/s], shape (3,).
         contact_on_base: Coordinates of the contact point on the base: a pair, a
             direction or a point, as the surface has it, shape (k,).
         contact_on_body: Likewise on the body; shape (0,) where the contact point
@@ -34,59 +37,44 @@ class State(eqx.Module):
     alpha: Float[Array, " n"]
     alpha_dot: Float[Array, " n"]
 
+    def rates(
+        self,
+        contact: Contact,
+        angular_acceleration: Float[Array, "3"],
+        alpha_ddot: Float[Array, " n"],
+    ) -> "State":
+        """Rates of every number of a state, as a state.
 
-def state_rates(
-    state: State,
-    contact: Contact,
-    angular_acceleration: Float[Array, "3"],
-    alpha_ddot: Float[Array, " n"],
-) -> State:
-    """Rates of every number of a state, as a state.
-
-    Args:
-        state: Where the body is.
-        contact: Its contact, with the rates of the contact coordinates.
-        angular_acceleration: BODY axes [rad/s^2].
-        alpha_ddot: [unit of alpha / s^2].
-    """
-    return State(
-        orientation=quaternion_rates(state.orientation, state.angular_velocity),
-        angular_velocity=angular_acceleration,
-        contact_on_base=contact.base_rates,
-        contact_on_body=contact.body_rates,
-        alpha=state.alpha_dot,
-        alpha_dot=alpha_ddot,
-    )
-
-
-def pack(state: State) -> Float[Array, " y"]:
-    """All numbers of a state in one array: what XLA's loops carry fastest."""
-    parts = (
-        state.orientation,
-        state.angular_velocity,
-        state.contact_on_base,
-        state.contact_on_body,
-        state.alpha,
-        state.alpha_dot,
-    )
-    return jnp.concatenate([part for part in parts if part.shape[-1]], axis=-1)
-
-
-def unpack(y: Float[Array, "*T y"], like: State) -> State:
-    """The state whose numbers are ``y``, with the sizes of ``like``."""
-    sizes = [
-        part.shape[-1]
-        for part in (
-            like.orientation,
-            like.angular_velocity,
-            like.contact_on_base,
-            like.contact_on_body,
-            like.alpha,
-            like.alpha_dot,
+        Args:
+            contact: Its contact, with the rates of the contact coordinates.
+            angular_acceleration: ``w'``, BODY axes [rad/s^2].
+            alpha_ddot: [unit of alpha / s^2].
+        """
+        return State(
+            orientation=quaternion_rates(self.orientation, self.angular_velocity),
+            angular_velocity=angular_acceleration,
+            contact_on_base=contact.base_rates,
+            contact_on_body=contact.body_rates,
+            alpha=self.alpha_dot,
+            alpha_dot=alpha_ddot,
         )
-    ]
+
+
+def pack(state: eqx.Module) -> Float[Array, " y"]:
+    """All numbers of a state in one array: what XLA's loops carry fastest."""
+    parts = [jnp.atleast_1d(leaf) for leaf in jax.tree.leaves(state)]
+    return jnp.concatenate([part for part in parts if part.shape[0]])
+
+
+def unpack(y: Float[Array, "*T y"], like: Any) -> Any:
+    """The state whose numbers are ``y``, with the sizes of ``like``."""
+    leaves, tree = jax.tree.flatten(like)
     parts, start = [], 0
-    for size in sizes:
-        parts.append(y[..., start : start + size])
-        start += size
-    return State(*parts)
+    for leaf in leaves:
+        if leaf.ndim:
+            parts.append(y[..., start : start + leaf.shape[0]])
+            start += leaf.shape[0]
+        else:
+            parts.append(y[..., start])
+            start += 1
+    return jax.tree.unflatten(tree, parts)

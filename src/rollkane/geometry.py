@@ -79,6 +79,34 @@ class LocalGeometry(eqx.Module):
         half_gap = jnp.sqrt((0.5 * (a - d)) ** 2 + b * c)
         return jnp.stack([mean - half_gap, mean + half_gap])
 
+    @property
+    def regularity(self) -> Float[Array, ""]:
+        """How well the two coordinates count for two, on point and normal [1].
+
+        1 where their effects are equal and at right angles, 0 at the pole of a chart.
+        """
+        effects = []
+        for matrix in (self.lengths, self.frame_rates):
+            largest = jnp.max(jnp.abs(matrix))
+            tiny = jnp.finfo(matrix.dtype).tiny
+            effects.append(matrix / jnp.maximum(largest, tiny))
+        first, second = (jnp.concatenate([e[:, a] for e in effects]) for a in range(2))
+        squares, along = (dot(first, first), dot(second, second)), dot(first, second)
+        area = squares[0] * squares[1] - along * along
+        return jnp.sqrt(jnp.maximum(area, 0.0)) / jnp.maximum(*squares)
+
+    def turned_over(self) -> "LocalGeometry":
+        """The same point with the frame (e1, -e2, -e3): e3 into the material."""
+        flip = jnp.array([1.0, -1.0], self.lengths.dtype)
+        spin = self.spin_rates
+        return LocalGeometry(
+            position=self.position,
+            frame=self.frame * jnp.array([[1.0, -1.0, -1.0]], self.frame.dtype),
+            lengths=self.lengths * flip[:, None],
+            frame_rates=self.frame_rates * -flip[:, None],
+            spin_rates=None if spin is None else -spin,
+        )
+
 
 def from_chart(
     position: Callable[[Float[Array, "2"]], Float[Array, "3"]],

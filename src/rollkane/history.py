@@ -4,18 +4,19 @@ Everything is evaluated in one program and handed over as NumPy arrays in double
 precision, so that drawing never meets JAX's rules of shapes and dtypes.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .checks import FieldError
-from .coordinates import State
+from .observables import energy
 from .rolling import contact_force, contact_of
+from .rotations import quaternion_of
 from .scene import Scene
 from .small_linear import cross, matvec, norm
-from .trajectory import Trajectory, energy
+from .trajectory import Trajectory
 
 _SIZES = {
     "position": 3,
@@ -28,6 +29,8 @@ _SIZES = {
     "body_outward": 3,
     "contact_force": 3,
     "energy": 1,
+    "base_origin": 3,
+    "base_rotation": 9,
 }
 
 
@@ -46,6 +49,8 @@ class History(NamedTuple):
         body_outward: Unit normal out of the body there [1], body axes, shape (T, 3).
         contact_force: On the body [N], fixed axes, shape (T, 3).
         energy: [J], shape (T,).
+        base_origin: Of the base's axes [m], fixed axes, shape (T, 3).
+        base_rotation: Base to fixed axes [1], shape (T, 3, 3).
         rounding: Spacing of the run's own numbers at 1 [1].
     """
 
@@ -60,6 +65,8 @@ class History(NamedTuple):
     body_outward: np.ndarray
     contact_force: np.ndarray
     energy: np.ndarray
+    base_origin: np.ndarray
+    base_rotation: np.ndarray
     rounding: float
 
     @property
@@ -106,10 +113,10 @@ def history(trajectory: Trajectory) -> History:
     Raises:
         FieldError: a batch.
     """
-    if trajectory.time.ndim != 1 or trajectory.state.orientation.ndim != 2:
+    if trajectory.time.ndim != 1 or trajectory.state.angular_velocity.ndim != 2:
         raise FieldError(
             "trajectory",
-            trajectory.state.orientation.shape[:-2],
+            trajectory.state.angular_velocity.shape[:-2],
             "is a batch, and one picture shows one run",
             "draw one lane: jax.tree.map(lambda x: x[i], trajectory)",
         )
@@ -117,6 +124,9 @@ def history(trajectory: Trajectory) -> History:
     ends = np.cumsum(list(_SIZES.values()))[:-1]
     columns = dict(zip(_SIZES, np.split(rows, ends, axis=1), strict=True))
     columns["energy"] = columns["energy"][:, 0]
+    columns["base_rotation"] = columns["base_rotation"].reshape(-1, 3, 3)
+    # of a state without a quaternion the sign is open
+    columns["orientation"] = np.asarray(trajectory.orientation, dtype=float)
     return History(
         time=np.asarray(trajectory.time, dtype=float),
         **columns,
@@ -124,24 +134,35 @@ def history(trajectory: Trajectory) -> History:
     )
 
 
-def _row(scene: Scene, state: State) -> Float[Array, " n"]:
+def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
     """All quantities of one state in the order of ``_SIZES``."""
-    contact = contact_of(scene, state)
+    contact = contact_of(scene, t, state)
     rotation = contact.rotation
-    spin = matvec(rotation, state.angular_velocity)
+    spin = matvec(rotation, contact.angular_velocity)
     arm = matvec(rotation, contact.body_point)
-    orientation = contact.orientation
+    quaternion = contact.orientation
+    if quaternion is None:
+        quaternion = quaternion_of(rotation)
+    velocity = cross(arm, spin)  # no slip: the point at the contact moves with the base
+    if contact.base_velocity is not None:
+        velocity = velocity + matvec(rotation, contact.base_velocity)
+    still, level = jnp.zeros_like(arm), jnp.eye(3, dtype=arm.dtype)
+    base = contact.base
+    base_origin = still if base is None else base.placed(still)
+    turned = None if base is None else base.rotation
     return jnp.concatenate(
         [
             contact.position,
-            orientation / norm(orientation),
+            quaternion / norm(quaternion),
             spin,
-            cross(arm, spin),  # no slip: the point at the contact stands still
+            velocity,
             contact.base_point,
             contact.body_point,
             -matvec(rotation, contact.normal),
             contact.normal,
-            contact_force(scene, state),
-            energy(scene, state)[None],
+            contact_force(scene, t, state),
+            energy(scene, t, state)[None],
+            base_origin,
+            (level if turned is None else turned).reshape(9),
         ]
     )

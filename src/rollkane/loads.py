@@ -1,6 +1,8 @@
-"""Loads: forces on the rolling body. A scene without loads has none in its program."""
+"""Loads: what acts on the moving masses. A scene without loads has none in its program.
 
-import abc
+A load is a field, which accelerates every mass alike (the body's and those it carries),
+or a force on the body, or both.
+"""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -8,19 +10,22 @@ from jaxtyping import Array, Float
 from .bodies import Body
 from .checks import real
 from .contact import Contact
-from .small_linear import dot, matvec, matvec_transposed
 
 
 class AbstractLoad(eqx.Module):
-    """A force on a body, as a resultant through its mass centre."""
+    """A load; the kinds override what they are."""
 
-    @abc.abstractmethod
-    def force(self, body: Body, contact: Contact) -> Float[Array, "3"]:
-        """Resultant through the mass centre [N], BODY axes."""
+    @property
+    def field(self) -> Float[Array, "3"] | None:
+        """Acceleration that it gives to every mass [m/s^2], fixed axes; None: none."""
+        return None
 
-    @abc.abstractmethod
-    def potential_energy(self, body: Body, contact: Contact) -> Float[Array, ""]:
-        """Potential energy [J]."""
+    def wrench(
+        self, t: Float[Array, ""], body: Body, contact: Contact
+    ) -> tuple[Float[Array, "3"], Float[Array, "3"]] | None:
+        """Force [N] and moment about the CONTACT POINT [N m], BODY axes; None: none."""
+        del t, body, contact
+        return None
 
 
 class Gravity(AbstractLoad):
@@ -45,11 +50,7 @@ class Gravity(AbstractLoad):
             "Gravity.acceleration", acceleration, (3,), "three components in m/s^2"
         )
 
-    def force(self, body: Body, contact: Contact) -> Float[Array, "3"]:
-        """Weight [N], BODY axes."""
-        return body.mass * matvec_transposed(contact.rotation, self.acceleration)
-
-    def potential_energy(self, body: Body, contact: Contact) -> Float[Array, ""]:
-        """``-m g . r_C`` from the fixed origin [J]."""
-        place = contact.position + matvec(contact.rotation, body.center_of_mass)
-        return -body.mass * dot(self.acceleration, place)
+    @property
+    def field(self) -> Float[Array, "3"]:
+        """The acceleration itself [m/s^2], fixed axes."""
+        return self.acceleration

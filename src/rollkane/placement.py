@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Array
 
 from .checks import is_traced, real, refuse
+from .contact import body_to_base
 from .coordinates import State
 from .geometry import LocalGeometry, from_normal
+from .rolling import assemble, contact_of
 from .rotations import rotation_matrix
 from .scene import Scene
 from .small_linear import dot, matvec_transposed, norm
@@ -27,13 +29,14 @@ def place(
     *,
     base_normal: Any = None,
     near_on_body: Any = None,
+    time: Any = 0.0,
 ) -> State:
     """The state in which a body touches its base at a given point.
 
     Args:
         scene: What rolls on what.
         orientation: Unit quaternion, scalar first, body to fixed axes [1], shape (4,).
-        angular_velocity: FIXED axes [rad/s], shape (3,).
+        angular_velocity: Absolute, FIXED axes [rad/s], shape (3,).
         contact_on_base: Contact point, base axes [m], shape (3,); a point of the
             base's surface.
         alpha: Coordinates of what is supported, shape (n,).
@@ -43,6 +46,7 @@ def place(
         near_on_body: Body axes [m], shape (3,). Where several points of the body have
             the needed normal (a cylinder, a body that is not convex), take the one
             next to this; by default the outermost.
+        time: When the motion starts [s]; matters only where the base turns.
 
     Returns:
         The state, in pole-free coordinates.
@@ -73,10 +77,11 @@ def place(
         )
     ]
     numbers = [
-        _number(dtype, name, value, len(scene.supported), "one for each coordinate")
+        _number(dtype, name, value, scene.coordinate_count, "one for each coordinate")
         for name, value in (("alpha", alpha), ("alpha_dot", alpha_dot))
     ]
-    fit = _fit(scene, orientation, spin, point, hints, loose)
+    time = _number(dtype, "time", [time], 1, "seconds")[0]
+    fit = _fit(scene, orientation, spin, point, hints, loose, time)
     orientation = refuse(
         fit.orientation,
         fit.misses,
@@ -85,7 +90,7 @@ def place(
         "normal that the contact needs",
         "turn the body, or (for a surface by your own function) widen its domain",
     )
-    return State(
+    state = State(
         orientation=orientation,
         angular_velocity=fit.angular_velocity,
         contact_on_base=_checked_contact(fit, point),
@@ -93,6 +98,37 @@ def place(
         alpha=numbers[0],
         alpha_dot=numbers[1],
     )
+    return _with_mass(scene, time, state) if scene.coordinate_count else state
+
+
+def _with_mass(scene: Scene, time: Array, state: State) -> State:
+    """The state, unless a coordinate of it moves no mass."""
+    alpha = refuse(
+        state.alpha,
+        _massless(scene, time, state),
+        "Scene.supported",
+        "makes the mass matrix singular at this alpha: some motion of the coordinates "
+        "moves no mass",
+        "let every coordinate move a mass by itself, and start where it does",
+    )
+    return eqx.tree_at(lambda s: s.alpha, state, alpha)
+
+
+@eqx.filter_jit
+def _massless(scene: Scene, time: Array, state: State) -> Array:
+    """Whether the mass matrix, scaled to a diagonal of ones, is not positive."""
+    rows = assemble(scene, time, state, contact_of(scene, time, state)).rows
+    count = len(rows)
+    matrix = jnp.stack(
+        [
+            jnp.stack([rows[max(i, j)][min(i, j)] for j in range(count)])
+            for i in range(count)
+        ]
+    )
+    scale = jnp.sqrt(jnp.diagonal(matrix))
+    matrix = matrix / (scale[:, None] * scale[None, :])
+    # a Cholesky factor loses half the digits of the least eigenvalue
+    return ~(jnp.linalg.eigvalsh(matrix)[0] > 100 * jnp.finfo(matrix.dtype).eps)
 
 
 class _Fit(eqx.Module):
@@ -163,7 +199,7 @@ def _list(value: Array) -> str:
 
 
 @eqx.filter_jit
-def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
+def _fit(scene: Scene, orientation, spin, point, hints, loose: float, time) -> _Fit:
     base, body = scene.base.surface, scene.body.surface
     edge_normal, near = hints
     if edge_normal is None:
@@ -173,7 +209,9 @@ def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
     ground = base.geometry(on_base)
     orientation = orientation / norm(orientation)
     rotation = rotation_matrix(orientation)
-    normal = -matvec_transposed(rotation, ground.normal)
+    motion = scene.base.motion
+    to_base = body_to_base(rotation, None if motion is None else motion.at(time))
+    normal = -matvec_transposed(to_base, ground.normal)
     point_of_normal = body.normal_map(base.is_flat)
     if isinstance(body, AbstractPointSurface) and point_of_normal is None:
         on_body = body.find_normal(normal, near)
@@ -181,13 +219,13 @@ def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
     else:
         on_body = jnp.zeros(0, normal.dtype)
         shell = from_normal(cast(PointOfNormal, point_of_normal), normal)
-    tangents = [matvec_transposed(rotation, ground.frame[:, a]) for a in range(2)]
+    tangents = [matvec_transposed(to_base, ground.frame[:, a]) for a in range(2)]
     mixing = jnp.stack(
         [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
     )
     still = jax.lax.stop_gradient((shell, ground, mixing))
     opening, curving = _opening(*still)
-    regular = jnp.minimum(_regular(still[0]), _regular(still[1]))
+    regular = jnp.minimum(still[0].regularity, still[1].regularity)
     gap, reach, misfit = jax.lax.stop_gradient(
         (norm(point - ground.position), norm(point), norm(shell.normal - normal))
     )
@@ -205,16 +243,6 @@ def _fit(scene: Scene, orientation, spin, point, hints, loose: float) -> _Fit:
         fits=~(jnp.abs(curving) > 100 * rounding),  # a determinant of unit columns
         cuts=~(opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
     )
-
-
-def _regular(geometry: LocalGeometry) -> Array:
-    """Least over largest effect of the two coordinates, on point and normal."""
-    effects = [
-        matrix / jnp.maximum(jnp.max(jnp.abs(matrix)), jnp.finfo(matrix.dtype).tiny)
-        for matrix in (geometry.lengths, geometry.frame_rates)
-    ]
-    columns = jnp.linalg.norm(jnp.concatenate(effects), axis=0)
-    return jnp.min(columns) / jnp.max(columns)
 
 
 def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:

@@ -8,7 +8,7 @@ normalisation is part of the motion.
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .small_linear import components, cross, dot
+from .small_linear import components, cross, dot, inverse_sqrt
 
 
 def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
@@ -69,6 +69,32 @@ def quaternion_rates(
             a * z + b * y - c * x,
         ]
     )
+
+
+def quaternion_of(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
+    """Unit quaternion of a rotation matrix, scalar first; of either sign.
+
+    Of the four equal formulas the one whose divisor is largest is taken.
+    """
+    (a, b, c), (d, e, f), (g, h, i) = (components(row) for row in components(rotation))
+    rows = jnp.stack(
+        [
+            jnp.stack([1.0 + a + e + i, h - f, c - g, d - b]),
+            jnp.stack([h - f, 1.0 + a - e - i, b + d, c + g]),
+            jnp.stack([c - g, b + d, 1.0 - a + e - i, f + h]),
+            jnp.stack([d - b, c + g, f + h, 1.0 - a - e + i]),
+        ]
+    )
+    best = rows[jnp.argmax(jnp.diagonal(rows))]
+    return best * inverse_sqrt(dot(best, best))
+
+
+def in_one_sense(quaternions: Float[Array, "T 4"]) -> Float[Array, "T 4"]:
+    """Quaternions of successive times with signs that make them continuous."""
+    along = jnp.sum(quaternions[1:] * quaternions[:-1], axis=1)
+    flips = jnp.where(along < 0, -1.0, 1.0).astype(quaternions.dtype)
+    signs = jnp.concatenate([jnp.ones(1, quaternions.dtype), jnp.cumprod(flips)])
+    return quaternions * signs[:, None]
 
 
 def shortest_turn(

@@ -5,9 +5,11 @@ What a scene does not name costs nothing: it is no part of the traced program.
 
 import equinox as eqx
 
+from .base_motion import AbstractBaseMotion
 from .bodies import Body
 from .checks import FieldError
 from .loads import AbstractLoad, Gravity
+from .supported import AbstractSupported
 from .surfaces import AbstractSurface, Plane
 
 
@@ -23,21 +25,26 @@ class Base(eqx.Module):
 
     Attributes:
         surface: Surface, base axes; they coincide with the fixed axes at rest.
-        motion: None, a base at rest.
+        motion: How it moves, or None: a base at rest.
     """
 
     surface: AbstractSurface
-    motion: None
+    motion: AbstractBaseMotion | None
 
-    def __init__(self, surface: AbstractSurface | None = None, motion: None = None):
+    def __init__(
+        self,
+        surface: AbstractSurface | None = None,
+        motion: AbstractBaseMotion | None = None,
+    ):
         """Make a base.
 
         Args:
             surface: Surface in base axes; ``Plane()`` when left out.
-            motion: None; moving bases are not part of this version.
+            motion: ``BaseMotion``, ``Spin`` or ``RecordedMotion``; left out, a base at
+                rest, whose axes are the fixed axes.
 
         Raises:
-            FieldError: no surface, or a motion.
+            FieldError: no surface, or something else for a motion.
         """
         surface = Plane() if surface is None else surface
         if not isinstance(surface, AbstractSurface):
@@ -47,15 +54,16 @@ class Base(eqx.Module):
                 "must be a surface",
                 "give one of the catalogue, for example Plane()",
             )
-        if motion is not None:
+        if not (motion is None or isinstance(motion, AbstractBaseMotion)):
             raise FieldError(
                 "Base.motion",
                 motion,
-                "cannot move in this version",
-                "leave it None: a base at rest",
+                "must be a motion",
+                "give BaseMotion(position, rotation), Spin(rate), "
+                "RecordedMotion(time, acceleration) or None: a base at rest",
             )
         self.surface = surface
-        self.motion = None
+        self.motion = motion
 
 
 class Scene(eqx.Module):
@@ -64,8 +72,9 @@ class Scene(eqx.Module):
     Attributes:
         body: The rolling body.
         base: What it rolls on.
-        supported: Masses and bodies that it carries; none in this version.
-        loads: Forces on it.
+        supported: Masses and bodies that it carries, in the order of their
+            coordinates in alpha.
+        loads: What acts on it and on what it carries.
         contact: The contact law.
         carries_point: Whether the state holds the contact point on the body; False
             where it follows from the normal.
@@ -73,7 +82,7 @@ class Scene(eqx.Module):
 
     body: Body
     base: Base
-    supported: tuple
+    supported: tuple[AbstractSupported, ...]
     loads: tuple[AbstractLoad, ...]
     contact: Rolling
     carries_point: bool = eqx.field(static=True)
@@ -91,7 +100,8 @@ class Scene(eqx.Module):
         Args:
             body: The rolling body.
             base: What it rolls on; a horizontal plane at rest when left out.
-            supported: Empty; supported masses are not part of this version.
+            supported: ``PointMasses``, ``SupportedBody`` or ``Prescribed``, one or a
+                tuple of them.
             loads: Forces; ``(Gravity(),)`` when left out, ``()`` for none.
             contact: The contact law; ``Rolling()`` when left out.
 
@@ -109,16 +119,20 @@ class Scene(eqx.Module):
         _require("Scene.loads", loads, (tuple, list), "give a tuple of loads")
         for i, load in enumerate(loads):
             _require(f"Scene.loads[{i}]", load, AbstractLoad, "give Gravity() or ()")
-        if tuple(supported):
-            raise FieldError(
-                "Scene.supported",
-                supported,
-                "cannot be carried in this version",
-                "leave it empty",
-            )
+        if isinstance(supported, AbstractSupported):
+            supported = (supported,)
+        _require("Scene.supported", supported, (tuple, list), "give a tuple of parts")
+        for i, part in enumerate(supported):
+            remedy = "give PointMasses, SupportedBody or Prescribed"
+            _require(f"Scene.supported[{i}]", part, AbstractSupported, remedy)
         self.body, self.base, self.contact = body, base, contact
-        self.loads, self.supported = tuple(loads), ()
+        self.loads, self.supported = tuple(loads), tuple(supported)
         self.carries_point = body.surface.normal_map(base.surface.is_flat) is None
+
+    @property
+    def coordinate_count(self) -> int:
+        """Number n of coordinates alpha of all that is supported."""
+        return sum(part.count for part in self.supported)
 
 
 def _require(field: str, value, kind, remedy: str) -> None:

@@ -14,13 +14,19 @@ from jaxtyping import Array, Float
 from .checks import FieldError, is_traced, real
 from .coordinates import State, pack, unpack
 from .differentiate import differentiable
-from .rolling import rolling_derivative
+from .euler_lagrange import euler_lagrange_derivative
+from .rolling import contact_of, rolling_derivative
 from .scene import Scene
-from .steps import LandOn, ReplaySteps, first_step
+from .state_conversion import to_pole_free, to_voronets
+from .steps import LandOn, ReplaySteps, first_step, landing_times
 from .trajectory import Code, Trajectory
+from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
-_DERIVATIVES = {"rolling": rolling_derivative}
-_COORDINATES = ("pole-free",)
+_DERIVATIVES = {
+    "rolling": rolling_derivative,
+    "euler_lagrange": euler_lagrange_derivative,
+}
+_COORDINATES = ("pole-free", "voronets")
 
 # Reverse mode keeps this many states (about 0.3 kB each) before it recomputes parts.
 _CHECKPOINTS = 4096
@@ -32,7 +38,7 @@ _UNRECORDED_STEPS = 2**22
 
 def simulate(
     scene: Scene,
-    start: State,
+    start: AnyState,
     times: Any,
     *,
     rtol: float | None = None,
@@ -61,8 +67,10 @@ def simulate(
             decreasing: the motion backwards). The integrator lands on every one.
         rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
         atol: Absolute tolerance of a step [unit of the state]; 0.01 rtol by default.
-        formulation: ``"rolling"``.
-        coordinates: ``"pole-free"``.
+        formulation: ``"rolling"``, or its twin ``"euler_lagrange"``, the equations of
+            the paper.
+        coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
+            at the edges of the surfaces' charts.
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
         stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
         adjoint: diffrax adjoint; replaces the derivative along recorded steps.
@@ -82,9 +90,11 @@ def simulate(
     """
     _check_names(formulation, coordinates)
     _check_start(scene, start)
-    dtype = start.orientation.dtype
+    dtype = start.angular_velocity.dtype
     _warn_single_precision(dtype)
     times = _checked_times(times, dtype)
+    _check_span(scene, times)
+    start = _in_coordinates(coordinates, scene, start, times[0])
     rtol, atol = _tolerances(rtol, atol, dtype)
     if solver is None:
         solver = _default_solver(rtol)
@@ -147,13 +157,14 @@ def _simulate(plan, plan_arrays, scene, start, times, tolerances, dt0) -> Trajec
     if plan.saveat is None:
         move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, scene, 1.0))
         y = move(y, times)
+    final_state = unpack(solution.final_y, like)
     return Trajectory(
         time=times if plan.saveat is None else solution.time,
         state=unpack(y, like),
         scene=scene,
-        code=solution.code,
+        code=_code_at(solution, scene, final_state),
         final_time=solution.final_time,
-        final_state=unpack(solution.final_y, like),
+        final_state=final_state,
         steps=solution.steps,
         rejected_steps=solution.rejected_steps,
     )
@@ -187,8 +198,11 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         controller = dfx.PIDController(
             rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False
         )
-        if plan.saveat is None and times.shape[0] > 2:
-            controller = LandOn(controller, times[1:])
+        motion = scene.base.motion
+        kinks = None if motion is None else motion.kinks
+        outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
+        if outputs.shape[0] > 2 or kinks is not None:
+            controller = LandOn(controller, landing_times(outputs, kinks))
     wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
     subs = [wanted, dfx.SubSaveAt(t1=True)]
     recording = replay is None and adjoint is not None and plan.adjoint is None
@@ -241,6 +255,17 @@ def _code(result, stuck) -> Array:
     return jnp.where(too_small, Code.BAD_START, code)
 
 
+def _code_at(solution: _Solution, scene: Scene, state) -> Array:
+    """The code, once it is seen whether a small step was the edge of a chart."""
+    if not isinstance(state, VoronetsState):
+        return solution.code
+    contact = contact_of(scene, solution.final_time, state)
+    assert isinstance(contact, ChartContact)
+    stopped = (solution.code == Code.STEP_TOO_SMALL) | (solution.code == Code.BAD_START)
+    at_edge = stopped & (contact.regularity < 2.0 * CHART_EDGE)
+    return jnp.where(at_edge, Code.CHART_EDGE, solution.code)
+
+
 @eqx.filter_custom_jvp
 def _moved_in_time(rates, y, t, scene, sign):
     """``y``, with the derivative that a change of its time ``t`` brings.
@@ -287,29 +312,61 @@ def _warn_single_precision(dtype) -> None:
         )
 
 
-def _check_start(scene: Scene, start: State) -> None:
-    if not isinstance(start, State):
+def _check_start(scene: Scene, start: AnyState) -> None:
+    if not isinstance(start, (State, VoronetsState)):
         raise FieldError(
             "simulate.start", start, "must be a State", "make it with rollkane.place"
         )
     body, base = scene.body.surface, scene.base.surface
-    counts = {
-        "orientation": 4,
-        "angular_velocity": 3,
-        "contact_on_base": base.coordinate_count,
-        "contact_on_body": body.coordinate_count if scene.carries_point else 0,
-        "alpha": len(scene.supported),
-        "alpha_dot": len(scene.supported),
+    shapes: dict[str, tuple] = {
+        "angular_velocity": (3,),
+        "alpha": (scene.coordinate_count,),
+        "alpha_dot": (scene.coordinate_count,),
     }
-    for field, count in counts.items():
+    if isinstance(start, VoronetsState):
+        shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
+    else:
+        carried = body.coordinate_count if scene.carries_point else 0
+        shapes |= {
+            "orientation": (4,),
+            "contact_on_base": (base.coordinate_count,),
+            "contact_on_body": (carried,),
+        }
+    for field, wanted in shapes.items():
         shape = getattr(start, field).shape
-        if shape != (count,):
+        if shape != wanted:
             raise FieldError(
                 f"simulate.start.{field}",
                 shape,
-                f"must have shape ({count},) in this scene",
+                f"must have shape {wanted} in this scene",
                 "place the body in this scene (a batch of starts needs jax.vmap)",
             )
+
+
+def _check_span(scene: Scene, times: Any) -> None:
+    """Refuse times at which the base's motion is not known."""
+    motion = scene.base.motion
+    span = None if motion is None else motion.span
+    if span is None or is_traced(times, span):
+        return
+    first, last = float(span[0]), float(span[1])
+    slack = 1e-9 * (last - first)
+    if min(times) < first - slack or max(times) > last + slack:
+        raise FieldError(
+            "simulate.times",
+            (float(min(times)), float(max(times))),
+            f"leave the record of Base.motion, which is known from {first:g} to "
+            f"{last:g} s",
+            "stay within it, or add samples (of zero, for a base that coasts on)",
+        )
+
+
+def _in_coordinates(coordinates: str, scene: Scene, start, time):
+    """The start in the asked coordinates."""
+    if coordinates == "pole-free":
+        return to_pole_free(scene, start, time)
+    sign = start.sign if isinstance(start, VoronetsState) else -1
+    return to_voronets(scene, start, time, sign)
 
 
 def _scalar(x, dtype):

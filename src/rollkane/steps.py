@@ -1,6 +1,7 @@
 """Step controllers: landing on output times, and replaying recorded steps."""
 
 import diffrax as dfx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -56,6 +57,37 @@ class LandOn(dfx.AbstractStepSizeController):
         index = jnp.where(landed, jnp.minimum(index + 1, last), index)
         t_end = self._towards(self.times[index], next_t0, dt)
         return keep, next_t0, t_end, jump, (inner, index, dt), result
+
+
+def landing_times(
+    times: Float[Array, " T"], kinks: Float[Array, " k"] | None
+) -> Float[Array, " n"]:
+    """Output times after the first, with the kinks between them, in order.
+
+    Args:
+        times: Output times [s], increasing or decreasing.
+        kinks: Times at which a derivative of the right-hand side jumps [s]; None: none.
+
+    Returns:
+        Times for :class:`LandOn`; what is left of the kinks is infinite, at the end.
+    """
+    if kinks is None:
+        return times[1:]
+    sign = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    outputs = times * sign
+    kinks = jax.lax.stop_gradient(kinks).astype(times.dtype) * sign
+    # closer together than this, two landings would ask for a step without length
+    near = 100 * jnp.finfo(times.dtype).eps * jnp.max(jnp.abs(outputs))
+    after = jnp.clip(jnp.searchsorted(outputs, kinks), 1, outputs.shape[0] - 1)
+    gap = jnp.minimum(
+        jnp.abs(outputs[after] - kinks), jnp.abs(outputs[after - 1] - kinks)
+    )
+    between = (kinks > outputs[0]) & (kinks < outputs[-1]) & (gap > near)
+    kinks = jnp.where(between, kinks, jnp.inf)
+    landings = jnp.sort(jnp.concatenate([outputs[1:], kinks]))
+    repeated = jnp.diff(landings) <= near
+    landings = landings.at[1:].set(jnp.where(repeated, jnp.inf, landings[1:]))
+    return jnp.sort(landings) * sign
 
 
 class ReplaySteps(dfx.AbstractStepSizeController):

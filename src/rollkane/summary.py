@@ -1,11 +1,12 @@
 """A run in a few lines: what it did, how exact it is, and what it needed."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .coordinates import State
 from .history import History, history
 from .rolling import contact_of, rolling_derivative
 from .scene import Scene
@@ -152,7 +153,7 @@ def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
     return lines
 
 
-def _spins(scene: Scene, state: State) -> tuple[Array, Array, Array]:
+def _spins(scene: Scene, t: Array, state: Any) -> tuple[Array, Array, Array]:
     """Spins about the body's axes and the normal, their rates, and the upward normal.
 
     Returns:
@@ -160,12 +161,12 @@ def _spins(scene: Scene, state: State) -> tuple[Array, Array, Array]:
         the base's normal; the base's normal on body axes [1], shape (3,).
     """
 
-    def spins(state):
-        upward = -contact_of(scene, state).normal
-        w = state.angular_velocity
+    def spins(t, state):
+        contact = contact_of(scene, t, state)
+        upward, w = -contact.normal, contact.angular_velocity
         return jnp.concatenate([w, dot(upward, w)[None]]), upward
 
-    now = jnp.zeros((), state.orientation.dtype)
-    moving = rolling_derivative(scene, now, state)
-    (values, upward), (rates, _) = jax.jvp(spins, (state,), (moving,))
+    moving = rolling_derivative(scene, t, state)
+    along = (jnp.ones_like(t), moving)
+    (values, upward), (rates, _) = jax.jvp(spins, (t, state), along)
     return values, rates, upward

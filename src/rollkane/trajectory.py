@@ -8,10 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from . import observables
 from .coordinates import State
-from .rolling import contact_force, contact_of, kinetic_energy, rolling_derivative
+from .rolling import contact_force, contact_of, rolling_derivative
+from .rotations import in_one_sense, quaternion_of
 from .scene import Scene
-from .small_linear import dot, matvec, norm
+from .small_linear import matvec, norm
+from .voronets import AnyState
 
 
 class Code:
@@ -22,6 +25,7 @@ class Code:
     STEP_TOO_SMALL = 2
     BAD_START = 3
     STOPPED = 4
+    CHART_EDGE = 5
 
 
 _REASONS = {
@@ -33,6 +37,9 @@ _REASONS = {
     "function of yours gave NaN there; look at final_time and final_state",
     Code.BAD_START: "the start cannot be used: a number in it or in the scene, or its "
     "first rates, are not finite",
+    Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
+    'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
+    "or with another chart",
     Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
 }
 
@@ -43,6 +50,7 @@ class Trajectory(eqx.Module):
     Attributes:
         time: [s], shape (T,).
         state: States, every array with a leading T; NaN where not reached.
+            :class:`State`, or :class:`VoronetsState` if those coordinates were asked.
         scene: The scene that moved.
         code: Why the run ended, one of :class:`Code`; 0 is success.
         final_time: Time that was reached [s].
@@ -52,24 +60,25 @@ class Trajectory(eqx.Module):
     """
 
     time: Float[Array, " T"]
-    state: State
+    state: AnyState
     scene: Scene
     code: Int[Array, ""]
     final_time: Float[Array, ""]
-    final_state: State
+    final_state: AnyState
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
 
-    def each(self, observable: Callable[[Scene, State], Any]) -> Any:
+    def each(self, observable: Callable[[Scene, Array, Any], Any]) -> Any:
         """An observable of one state, at every time of every lane.
 
         Args:
-            observable: Function of the scene and one state.
+            observable: Function of the scene, the time [s] and one state, such as
+                those of ``rollkane.observables``.
 
         Returns:
             Its values, shape (T, ...), with the batch in front if there is one.
         """
-        return _each(observable, self.scene, self.state)
+        return _each(observable, self.scene, self.time, self.state)
 
     @property
     def succeeded(self) -> Array:
@@ -92,7 +101,13 @@ class Trajectory(eqx.Module):
 
         Continuous in sign.
         """
-        return self.each(_orientation)
+        orientation = self.each(_orientation)
+        if isinstance(self.state, State):
+            return orientation  # integrated, and so continuous
+        sense = in_one_sense
+        for _ in range(orientation.ndim - 2):
+            sense = jax.vmap(sense)
+        return sense(orientation)
 
     @property
     def angular_velocity(self) -> Float[Array, "T 3"]:
@@ -120,12 +135,12 @@ class Trajectory(eqx.Module):
 
         Source: theory, section 5, N = -Rc . e_out.
         """
-        return self.each(normal_force)
+        return self.each(observables.normal_force)
 
     @property
     def friction_ratio(self) -> Float[Array, " T"]:
         """Friction coefficient that rolling needs, |tangential| / N [1], shape (T,)."""
-        return self.each(_friction_ratio)
+        return self.each(observables.friction_ratio)
 
     @property
     def first_pull(self) -> Float[Array, ""]:
@@ -139,8 +154,41 @@ class Trajectory(eqx.Module):
 
     @property
     def energy(self) -> Float[Array, " T"]:
-        """Kinetic plus potential energy [J], shape (T,)."""
-        return self.each(energy)
+        """Kinetic plus potential energy [J], shape (T,).
+
+        Fields of loads and springs given by a potential count as potential energy.
+        """
+        return self.each(observables.energy)
+
+    @property
+    def power(self) -> Float[Array, " T"]:
+        """Rate of the energy [W], shape (T,): of the base and of forces inside."""
+        return self.each(observables.power)
+
+    @property
+    def moving_energy(self) -> Float[Array, " T"]:
+        """``E - v_Oc . P - w_c . J`` [J], shape (T,): kept on a steady turntable."""
+        return self.each(observables.moving_energy)
+
+    @property
+    def momentum(self) -> Float[Array, "T 3"]:
+        """Of the whole system [kg m/s], fixed axes, shape (T, 3)."""
+        return self.each(observables.momentum)
+
+    @property
+    def angular_momentum(self) -> Float[Array, "T 3"]:
+        """Of the whole system about the fixed origin [kg m^2/s], fixed axes, (T, 3)."""
+        return self.each(observables.angular_momentum)
+
+    @property
+    def base_position(self) -> Float[Array, "T 3"]:
+        """Base origin [m], fixed axes, shape (T, 3)."""
+        return self.each(_base_position)
+
+    @property
+    def base_rotation(self) -> Float[Array, "T 3 3"]:
+        """Base to fixed axes [1], shape (T, 3, 3)."""
+        return self.each(_base_rotation)
 
     @property
     def alpha(self) -> Float[Array, "T n"]:
@@ -186,32 +234,19 @@ class Trajectory(eqx.Module):
         write_view(self, path, title=title)
 
 
-def energy(scene: Scene, state: State) -> Float[Array, ""]:
-    """Kinetic plus potential energy of one state [J]."""
-    total = kinetic_energy(scene, state)
-    contact = contact_of(scene, state)
-    for load in scene.loads:
-        total = total + load.potential_energy(scene.body, contact)
-    return total
-
-
-def normal_force(scene: Scene, state: State) -> Float[Array, ""]:
-    """Normal force of one state [N]; negative where the contact would have to pull."""
-    return -dot(contact_force(scene, state), _outward(scene, state))
-
-
-def _pressing(scene: Scene, state: State) -> tuple[Array, Array]:
+def _pressing(scene: Scene, t: Array, state: Any) -> tuple[Array, Array]:
     """Normal force and its rate along the motion [N], [N/s]."""
-    rates = rolling_derivative(scene, jnp.zeros(()), state)
-    return jax.jvp(lambda s: normal_force(scene, s), (state,), (rates,))
+    rates = rolling_derivative(scene, t, state)
+    force = lambda t, s: observables.normal_force(scene, t, s)
+    return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
 
 
 @eqx.filter_jit
-def _first_pull(time: Array, scene: Scene, state: State) -> Array:
+def _first_pull(time: Array, scene: Scene, state: Any) -> Array:
     if time.ndim > 1:
         return jax.vmap(_first_pull)(time, scene, state)
     # one state after the other: mapped over all, it takes four times as long to compile
-    values, slopes = jax.lax.map(lambda s: _pressing(scene, s), state)
+    values, slopes = jax.lax.map(lambda x: _pressing(scene, *x), (time, state))
     return _first_fall(time, values, slopes)
 
 
@@ -244,42 +279,45 @@ def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
     return jnp.where(jnp.any(fallen), found, jnp.nan)
 
 
-def _outward(scene: Scene, state: State) -> Float[Array, "3"]:
-    contact = contact_of(scene, state)
-    return matvec(contact.rotation, contact.normal)
+def _position(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
+    return contact_of(scene, t, state).position
 
 
-def _friction_ratio(scene: Scene, state: State) -> Float[Array, ""]:
-    force, outward = contact_force(scene, state), _outward(scene, state)
-    press = -dot(force, outward)
-    return norm(force + press * outward) / press
+def _orientation(scene: Scene, t: Array, state: Any) -> Float[Array, "4"]:
+    contact = contact_of(scene, t, state)
+    if contact.orientation is None:
+        return quaternion_of(contact.rotation)
+    return contact.orientation / norm(contact.orientation)
 
 
-def _position(scene: Scene, state: State) -> Float[Array, "3"]:
-    return contact_of(scene, state).position
+def _angular_velocity(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
+    contact = contact_of(scene, t, state)
+    return matvec(contact.rotation, contact.angular_velocity)
 
 
-def _orientation(scene: Scene, state: State) -> Float[Array, "4"]:
-    quaternion = contact_of(scene, state).orientation
-    return quaternion / norm(quaternion)
+def _contact_on_body(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
+    return contact_of(scene, t, state).body_point
 
 
-def _angular_velocity(scene: Scene, state: State) -> Float[Array, "3"]:
-    rotation = contact_of(scene, state).rotation
-    return matvec(rotation, state.angular_velocity)
+def _contact_on_base(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
+    return contact_of(scene, t, state).base_point
 
 
-def _contact_on_body(scene: Scene, state: State) -> Float[Array, "3"]:
-    return contact_of(scene, state).body_point
+def _base_position(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
+    still = jnp.zeros_like(state.angular_velocity)
+    motion = scene.base.motion
+    return still if motion is None else motion.at(t).placed(still)
 
 
-def _contact_on_base(scene: Scene, state: State) -> Float[Array, "3"]:
-    return contact_of(scene, state).base_point
+def _base_rotation(scene: Scene, t: Array, state: Any) -> Float[Array, "3 3"]:
+    motion = scene.base.motion
+    rotation = None if motion is None else motion.at(t).rotation
+    return jnp.eye(3, dtype=t.dtype) if rotation is None else rotation
 
 
 @eqx.filter_jit
-def _each(observable: Any, scene: Scene, state: State) -> Array:
-    mapped = jax.vmap(observable, in_axes=(None, 0))
-    for _ in range(state.orientation.ndim - 2):
+def _each(observable: Any, scene: Scene, time: Array, state: Any) -> Array:
+    mapped = jax.vmap(observable, in_axes=(None, 0, 0))
+    for _ in range(state.angular_velocity.ndim - 2):
         mapped = jax.vmap(mapped)
-    return mapped(scene, state)
+    return mapped(scene, time, state)

@@ -30,7 +30,14 @@ class UserFunction(eqx.Module):
     _spread: bool = eqx.field(static=True)
     _takes_parameters: bool = eqx.field(static=True)
 
-    def __init__(self, field: str, function: Callable, count: int, parameters: Any):
+    def __init__(
+        self,
+        field: str,
+        function: Callable,
+        count: int,
+        parameters: Any,
+        of_array: bool = False,
+    ):
         """Wrap ``function``.
 
         Args:
@@ -39,6 +46,8 @@ class UserFunction(eqx.Module):
                 (count,), then the parameters.
             count: How many coordinates there are.
             parameters: Tree of numbers, or None for a function without.
+            of_array: Only the form with one array, whatever the count; parameters
+                are passed if it takes them (several functions may share them).
 
         Raises:
             FieldError: not callable, or a signature that fits neither form.
@@ -50,11 +59,13 @@ class UserFunction(eqx.Module):
         self.parameters = jax.tree.map(_as_float, parameters)
         takes = int(parameters is not None)
         forms = [(count, takes), (1, takes)]
-        if not takes:  # a function of (coordinates, parameters) that needs none
+        if of_array:
+            forms = [(1, takes), (1, 1 - takes)]
+        elif not takes:  # a function of (coordinates, parameters) that needs none
             forms += [(count, 1), (1, 1)]
         for arguments, extra in forms:
-            if _accepts(function, arguments + extra):
-                self._spread = arguments == count
+            if accepts(function, arguments + extra):
+                self._spread = arguments == count and not of_array
                 self._takes_parameters = bool(extra)
                 break
         else:
@@ -113,7 +124,8 @@ def _as_float(x: Any) -> Any:
     return x
 
 
-def _accepts(function: Callable, count: int) -> bool:
+def accepts(function: Callable, count: int) -> bool:
+    """Whether a function can be called with so many positional arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
     except TypeError:

@@ -15,6 +15,7 @@ from .. import problems
 
 # a right-hand side is some 400 operations on numbers of order one, and the smallest
 # moment is 1/50 of the largest: 1e-12 is 1e4 roundings
+NOW = jnp.zeros(())
 ROUNDING = 1e-12
 
 
@@ -45,7 +46,7 @@ def test_rolling_disc_equations(tilt):
     fixed = problems.matrix(q) @ spin.T @ node
     contact = [0.1, -0.2, 0.0]
     start = rk.place(scene, q, fixed, contact)
-    rates = rk.rolling_derivative(scene, jnp.zeros(()), start)
+    rates = rk.rolling_derivative(scene, NOW, start)
     found = spin @ np.asarray(rates.angular_velocity)
     dots, frame = disc_accelerations(I, J, m, a, g, tilt, node)
     exact = dots + np.cross(frame, node)  # absolute derivative on the node axes
@@ -61,7 +62,7 @@ def test_torus_converges_to_the_sharp_rim():
     def acceleration(surface):
         scene = rk.Scene(rk.Body(1.0, np.diag([0.0156, 0.0156, 0.0312]), surface))
         start = rk.place(scene, q, (0.3, -4.0, 1.0), (0.0, 0.0, 0.0))
-        rates = rk.rolling_derivative(scene, jnp.zeros(()), start)
+        rates = rk.rolling_derivative(scene, NOW, start)
         return np.asarray(rates.angular_velocity)
 
     rim = acceleration(rk.DiscEdge(0.25))
@@ -114,15 +115,15 @@ def test_three_descriptions_of_one_ellipsoid(base, description):
             rk.Base(surface),
         )
         start = rk.place(scene, q, (1.0, -2.0, 3.0), contact)
-        seen = contact_of(scene, start)
-        rates = rk.rolling_derivative(scene, jnp.zeros(()), start)
+        seen = contact_of(scene, NOW, start)
+        rates = rk.rolling_derivative(scene, NOW, start)
         return (
             seen.body_point,
             seen.velocity,
             seen.position,
             rates.angular_velocity,
             rates.contact_on_base,
-            contact_force(scene, start),
+            contact_force(scene, NOW, start),
         )
 
     for found, exact in zip(
@@ -140,10 +141,10 @@ def test_rates_move_the_contact_along_both_surfaces():
         rk.Base(surface),
     )
     start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (1.0, -2.0, 3.0), contact)
-    rates = rk.rolling_derivative(scene, jnp.zeros(()), start)
+    rates = rk.rolling_derivative(scene, NOW, start)
 
     def normals(state):
-        seen = contact_of(scene, state)
+        seen = contact_of(scene, NOW, state)
         ground = scene.base.surface.geometry(state.contact_on_base)
         rotation = rotation_matrix(state.orientation)
         shell = scene.body.surface.geometry(state.contact_on_body)
@@ -152,7 +153,7 @@ def test_rates_move_the_contact_along_both_surfaces():
     moved, velocity = jax.jvp(normals, (start,), (rates,))[1]
     assert float(jnp.max(jnp.abs(moved))) < ROUNDING * 10
     # velocity of the body origin: that of the contact point is zero, so w x (-rho)
-    seen = contact_of(scene, start)
+    seen = contact_of(scene, NOW, start)
     arm = seen.rotation @ seen.body_point
     np.testing.assert_allclose(
         velocity, -jnp.cross(jnp.array([1.0, -2.0, 3.0]), arm), atol=10 * ROUNDING

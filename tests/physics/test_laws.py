@@ -149,11 +149,11 @@ def test_the_body_origin_does_not_matter(plain):
 
 def test_power_of_the_loads_is_the_rate_of_kinetic_energy():
     """The contact does no work: dE/dt = 0 along the right-hand side, exactly."""
-    from rollkane.trajectory import energy
+    from rollkane.observables import energy
 
     scene, start, _ = scene_and_start()
     rates = rk.rolling_derivative(scene, jnp.zeros(()), start)
-    value, rate = jax.jvp(lambda s: energy(scene, s), (start,), (rates,))
+    value, rate = jax.jvp(lambda s: energy(scene, jnp.zeros(()), s), (start,), (rates,))
     # sums of terms of about 2 |w| |E|
     assert abs(float(rate)) < 1e-13 * 2 * 5 * float(value) * 10
 

@@ -21,13 +21,13 @@ def routh_sphere(surface):
     return scene, start
 
 
-def constants(scene, state):
+def constants(scene, t, state):
     """Jellett's and Routh's constants [J s] and [J s kg^(1/2) m].
 
     r from the mass centre to the contact: Jellett L . r with L about the mass centre,
     Routh w3 sqrt(I1 I3 + m r . I r) (Routh 1905, articles 243-244).
     """
-    r = contact_of(scene, state).body_point - scene.body.center_of_mass
+    r = contact_of(scene, t, state).body_point - scene.body.center_of_mass
     w = state.angular_velocity
     inertia = jnp.array([I1, I1, I3])
     jellett = jnp.sum(inertia * w * r)
@@ -35,9 +35,9 @@ def constants(scene, state):
     return jnp.stack([jellett, routh])
 
 
-def gap(scene, state):
+def gap(scene, t, state):
     """Distance of the body's contact point from the base, and normals' misfit."""
-    seen = contact_of(scene, state)
+    seen = contact_of(scene, t, state)
     rotation = seen.rotation
     height = (seen.position + rotation @ seen.body_point)[2]
     centre = seen.position[2] - RADIUS  # of a ball whose origin is its centre
@@ -75,8 +75,8 @@ def test_chaplygin_ball():
     inertia = scene.body.inertia
     mass, radius = scene.body.mass, scene.body.surface.radius
 
-    def momentum(scene, state):
-        R = contact_of(scene, state).rotation
+    def momentum(scene, t, state):
+        R = contact_of(scene, t, state).rotation
         e = R.T @ jnp.array([0.0, 0.0, 1.0])
         w = state.angular_velocity
         own = inertia @ w + mass * radius**2 * cross(e, cross(w, e))

@@ -35,7 +35,7 @@ def test_velocity_is_the_rate_of_the_position(run):
     @jax.vmap
     def rate(state):
         rates = rolling_derivative(run.scene, 0.0, state)
-        place = lambda state: contact_of(run.scene, state).position
+        place = lambda state: contact_of(run.scene, 0.0, state).position
         return jax.jvp(place, (state,), (rates,))[1]
 
     np.testing.assert_allclose(history(run).velocity, rate(run.state), atol=1e-12)

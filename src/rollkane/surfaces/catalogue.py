@@ -14,7 +14,12 @@ from jaxtyping import Array, Float
 from ..checks import flag, is_traced, positive, real, refuse
 from ..geometry import LocalGeometry, from_height
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .kinds import AbstractNormalSurface, AbstractPairSurface, PointOfNormal
+from .kinds import (
+    AbstractNormalSurface,
+    AbstractPairSurface,
+    PointOfNormal,
+    longitude_latitude,
+)
 
 Range = tuple[tuple[float, float], tuple[float, float]]
 
@@ -52,6 +57,13 @@ class Plane(AbstractPairSurface):
             frame=jnp.eye(3, dtype=u.dtype),
             lengths=jnp.eye(2, dtype=u.dtype),
             frame_rates=jnp.zeros((2, 2), u.dtype),
+        )
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in (x, y), with spin rates of zero."""
+        flat = self.geometry(q)
+        return LocalGeometry(
+            flat.position, flat.frame, flat.lengths, flat.frame_rates, jnp.zeros_like(q)
         )
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -252,6 +264,10 @@ class Torus(AbstractPairSurface):
                 jnp.arctan2(z, jnp.sqrt(x * x + y * y) - self.major_radius),
             ]
         )
+
+    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Both angles of the outer point with a normal [rad]."""
+        return longitude_latitude(normal)
 
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
         """On a plane, the outer half by its normal; else None."""

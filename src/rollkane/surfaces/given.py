@@ -17,7 +17,9 @@ from .kinds import (
     AbstractPairSurface,
     AbstractPointSurface,
     direction_chart,
+    direction_of,
     direction_rates,
+    longitude_latitude,
     sphere_of_directions,
 )
 
@@ -168,10 +170,15 @@ class Parametric(AbstractPointSurface):
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Position at the pair, or at longitude and latitude of the direction [m]."""
-        if not self.of_direction:
-            return self.position(q)
-        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
-        return self.position(jnp.stack([c2 * c1, c2 * s1, s2]))
+        return self.position(direction_of(q) if self.of_direction else q)
+
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """The pair, or longitude and latitude of the direction [rad]."""
+        return longitude_latitude(u) if self.of_direction else u
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """The pair, or the direction with a longitude and a latitude."""
+        return direction_of(q) if self.of_direction else q
 
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Local geometry in the chart, with ``spin_rates``."""
@@ -277,14 +284,21 @@ class Implicit(AbstractPointSurface):
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """First surface point along the ray of longitude q1 and latitude q2 [m]."""
-        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
-        direction = jnp.stack([c2 * c1, c2 * s1, s2])
+        direction = direction_of(q)
         p = jax.lax.stop_gradient(self._along_ray(direction))
         for _ in range(3):  # Newton along the ray; carries two derivatives of the chart
             level, slope = jax.value_and_grad(self.f)(p)
             r = dot(p - self.center, direction) - level / dot(slope, direction)
             p = self.center + r * direction
         return p
+
+    def chart_coordinates(self, u: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Longitude and latitude of the ray through the point [rad]."""
+        return longitude_latitude(self.onto(u) - self.center)
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The first surface point along the ray [m]."""
+        return self.chart(q)
 
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Local geometry in the chart of rays, with ``spin_rates``.

@@ -64,6 +64,21 @@ class AbstractSurface(eqx.Module):
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Local geometry in the chart, with ``spin_rates``."""
 
+    @abc.abstractmethod
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """Chart coordinates of the point with contact coordinates ``u``."""
+
+    @abc.abstractmethod
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """Contact coordinates of the point with chart coordinates ``q``."""
+
+    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Chart coordinates where the outward normal is the given one.
+
+        Only for surfaces that are given by their normal.
+        """
+        return longitude_latitude(normal)
+
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
         """The map from outward normal to point, where the normal determines it.
 
@@ -109,8 +124,15 @@ class AbstractNormalSurface(AbstractSurface):
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Point whose outward normal has longitude q1 and latitude q2 [rad]."""
-        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
-        return self.point_with_normal(jnp.stack([c2 * c1, c2 * s1, s2]))
+        return self.point_with_normal(direction_of(q))
+
+    def chart_coordinates(self, u: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Longitude and latitude of the normal [rad]."""
+        return longitude_latitude(u)
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The normal with a longitude and a latitude."""
+        return direction_of(q)
 
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Geometry in longitude and latitude of the normal; edges included.
@@ -233,6 +255,14 @@ class AbstractPairSurface(AbstractPointSurface):
         """Local geometry in the chart, with ``spin_rates``."""
         return from_chart(self.chart, q, self.orientation)
 
+    def chart_coordinates(self, u: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The pair itself."""
+        return u
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The pair itself."""
+        return q
+
     def coordinate_rates(
         self, u: Float[Array, "2"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, "2"]:
@@ -244,6 +274,18 @@ class AbstractPairSurface(AbstractPointSurface):
         """A grid over the chart's domain."""
         grids = [np.linspace(low, high, 31) for low, high in self.chart_domain]
         return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
+
+
+def direction_of(q: Float[Array, "2"]) -> Float[Array, "3"]:
+    """Direction with longitude q1 and latitude q2 [rad]."""
+    c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
+    return jnp.stack([c2 * c1, c2 * s1, s2])
+
+
+def longitude_latitude(direction: Float[Array, "3"]) -> Float[Array, "2"]:
+    """Longitude and latitude [rad] of a direction of any length."""
+    x, y, z = components(direction)
+    return jnp.stack([jnp.arctan2(y, x), jnp.arctan2(z, jnp.sqrt(x * x + y * y))])
 
 
 def direction_rates(

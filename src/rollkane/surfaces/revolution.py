@@ -204,6 +204,23 @@ class Revolution(AbstractPointSurface):
         r, z = components(_meridian(self.profile)(q[0]))
         return jnp.stack([r * jnp.cos(q[1]), r * jnp.sin(q[1]), z])
 
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """Meridian parameter s, and angle about z [rad]."""
+        place = self._place(u)
+        return jnp.stack([place.s, jnp.arctan2(place.sine, place.cosine)])
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """Contact coordinates at s = q1 and angle q2 about z."""
+        s, angle = components(q)
+        if not any(self.poles):
+            return q
+        first, last = self.domain
+        round_ = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        if all(self.poles):
+            polar = (s - first) * (np.pi / (last - first))
+            return jnp.concatenate([jnp.sin(polar) * round_, jnp.cos(polar)[None]])
+        return (s - first if self.poles[0] else last - s) * round_
+
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Local geometry in the chart (s, angle), with ``spin_rates``."""
         return from_chart(self.chart, q, -self._side)
