@@ -14,6 +14,8 @@ import numpy as np
 import rollkane as rk
 
 DATA = Path(__file__).parent / "data"
+# records of c22, which may not be redistributed
+RECORDS = Path(__file__).parents[2] / "shared" / "data"
 CASES = ("c09", "c13", "c14d", "c16", "c24", "x01")
 
 
@@ -53,6 +55,55 @@ def reference_case(name: str):
     initial = case["initial"]
     start = rk.place(
         scene, initial["quaternion"], initial["omega_inertial"], initial["contact_base"]
+    )
+    return scene, start, case
+
+
+def moving_case(name: str):
+    """Scene, start and reference of a case with a moving base or masses inside."""
+    case = load(name)
+    body, motion, supported = case["body"], None, ()
+    alpha = ((), ())
+    moves = case["base"]["motion"]
+    if moves["kind"] == "spin_about_base_z":
+        motion = rk.Spin(moves["Omega"])
+    elif moves["kind"] == "translate":
+        count = moves["n_samples"]
+        x, y = (rk.read_at2(RECORDS / moves[name]) for name in ("record_x", "record_y"))
+        motion = rk.RecordedMotion(
+            x.time[:count],
+            np.concatenate([a.acceleration[:count] for a in (x, y)], axis=1),
+        )
+    if case["internal_parts"]:
+        (part,) = case["internal_parts"]
+        arm, stiffness = part["length"], part["torsion_spring"]
+        supported = rk.PointMasses(
+            [part["mass"]],
+            lambda a: jnp.stack(
+                [arm * jnp.stack([jnp.sin(a[0]), 0.0 * a[0], -jnp.cos(a[0])])]
+            ),
+            potential=lambda a: 0.5 * stiffness * a[0] ** 2,
+        )
+        angle, rate = case["initial"]["internal_state"]
+        alpha = (angle,), (rate,)
+    scene = rk.Scene(
+        rk.Body(
+            mass=body["mass"],
+            inertia=body["inertia_com_body"],
+            surface=surface_of(body["surface"]),
+            center_of_mass=body["com_body"],
+        ),
+        rk.Base(rk.Plane(), motion),
+        supported,
+        (rk.Gravity(case["gravity"]),),
+    )
+    initial = case["initial"]
+    start = rk.place(
+        scene,
+        initial["quaternion"],
+        initial["omega_inertial"],
+        initial["contact_base"],
+        *alpha,
     )
     return scene, start, case
 

@@ -81,7 +81,7 @@ def _solved(residual: Callable[[Array], Array], size: int) -> Float[Array, " m"]
     constant, linear = jax.linearize(residual, jnp.zeros(size, dtype))
     columns = [components(linear(unit)) for unit in jnp.eye(size, dtype=dtype)]
     rows = [[columns[j][i] for j in range(i + 1)] for i in range(size)]
-    return solve_spd(rows, -constant)
+    return jnp.stack(solve_spd(rows, components(-constant)))
 
 
 class _Motion(NamedTuple):
@@ -166,7 +166,7 @@ def _lagrangian(scene, state, contact, motion: _Motion, moment, Q):
             for r in range(5)
         )
         unit = jnp.eye(3, dtype=v.dtype)[k - 2]
-        q_k, qc_k, theta_k = virtual_rates(scene.body.surface, contact, unit)
+        q_k, qc_k, theta_k = virtual_rates(contact, unit)
         along = dot(slope.q, q_k) + dot(slope.q_c, qc_k) + slope.theta * theta_k
         forced.append(bent - along)
     forced = jnp.stack(forced) - moment

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .checks import refuse
 from .geometry import LocalGeometry
 from .small_linear import components, dot, matmul, matvec, solve_2x2
-from .voronets import ChartContact
+from .voronets import ChartContact, virtual_rates
 
 
 class PaperQuantities(eqx.Module):
@@ -42,6 +42,9 @@ class PaperQuantities(eqx.Module):
         r: Likewise of n_1, shape (3,) [1].
         w_1: ``(sigma_1, tau_1, n_1)``, shape (3,) [rad/s].
         kappa: ``kappa^s_a = Delta_as / R``, index [s, a], shape (2, 2) [m].
+
+    At a sharp edge Delta, Delta_1, Delta_2, R, c and d are not finite; p, q, r, w_1,
+    kappa, Gamma and epsilon are.
 
     Source: [A] (1.2)-(1.13), (2.1); theory, sections 2 and 6.
     """
@@ -156,9 +159,11 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
     A, B, C = (
         (zero,) * 3 if contact.base_turn is None else components(contact.base_turn)
     )
+    # rates of the body's chart for a unit of sigma - A, and of tau - B
+    units = jnp.eye(3, dtype=R.dtype)[:2]
+    q_of = jnp.stack([virtual_rates(contact, unit)[0] for unit in units], axis=1)
     # u1 = (D12, D22).(sigma - A, tau - B)/R, u2 = -(D11, D12).(sigma - A, tau - B)/R
-    u_of = jnp.stack([jnp.stack([D12, D22]), jnp.stack([-D11, -D12])]) / R
-    tilts = matmul(Bf, u_of)
+    u_of, tilts = matmul(shell.lengths, q_of), matmul(shell.frame_rates, q_of)
     turning = jnp.stack([A, B])
 
     def coefficients(row):
@@ -192,9 +197,9 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
         d=s * R,
         p=coefficients(-tilts[1]),
         q=coefficients(tilts[0]),
-        r=coefficients(-matvec(u_of.T, g)),
+        r=coefficients(-matvec(q_of.T, _spin(shell))),
         w_1=contact.frame_turn,
-        kappa=Delta.T / R,
+        kappa=jnp.stack([-u_of[1], u_of[0]]).T,
     )
 
 

@@ -134,8 +134,9 @@ def assemble(
 
 def accelerations(system: System) -> tuple[Float[Array, "3"], Float[Array, " n"]]:
     """Angular acceleration [rad/s^2], body axes, and alpha'' [unit of alpha / s^2]."""
-    solution = solve_spd(system.rows, jnp.stack(system.rhs))
-    return solution[:3], solution[3:]
+    solution = solve_spd(system.rows, system.rhs)
+    turn, own = jnp.stack(solution[:3]), solution[3:]
+    return turn, jnp.stack(own) if own else jnp.zeros(0, turn.dtype)
 
 
 def field_of(loads: tuple[AbstractLoad, ...]) -> Float[Array, "3"] | None:

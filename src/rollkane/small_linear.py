@@ -88,17 +88,19 @@ def solve_2x2(
 
 
 def solve_spd(
-    matrix: list[list[Float[Array, "*B"]]], rhs: Float[Array, "n *B"]
-) -> Float[Array, "n *B"]:
+    matrix: list[list[Float[Array, "*B"]]], rhs: list[Float[Array, "*B"]]
+) -> list[Float[Array, "*B"]]:
     """Solve a symmetric positive definite system by an unrolled LDL^T.
 
     Args:
         matrix: Entries by row; only the lower triangle is read, so row ``i`` needs
             ``i + 1`` entries.
-        rhs: Right-hand side.
+        rhs: Right-hand side, by entries.
+
+    Returns:
+        The solution, by entries.
     """
-    n = len(matrix)
-    x = components(rhs)
+    n, x = len(matrix), list(rhs)
     lower: list[list] = [[None] * n for _ in range(n)]
     pivot: list = [None] * n
     for j in range(n):
@@ -116,4 +118,4 @@ def solve_spd(
     for i in reversed(range(n)):
         for k in range(i + 1, n):
             x[i] = x[i] - lower[k][i] * x[k]
-    return jnp.stack(x)
+    return x

@@ -100,6 +100,7 @@ class ChartContact(Contact):
             None where it does not turn.
         angle_rate: ``theta'`` [rad/s].
         sign: ``s``.
+        by_normal: Whether the body is given by its normal: its chart may be an edge.
     """
 
     shell: LocalGeometry
@@ -110,6 +111,7 @@ class ChartContact(Contact):
     base_turn: Float[Array, "3"] | None
     angle_rate: Float[Array, ""]
     sign: int = eqx.field(static=True)
+    by_normal: bool = eqx.field(static=True)
 
     @property
     def regularity(self) -> Float[Array, ""]:
@@ -147,7 +149,8 @@ def chart_contact(
         relative = state.angular_velocity - ABC
     sigma, tau, n = components(relative)
     turning = jnp.stack([tau, -sigma])
-    q_dot, qc_dot = _chart_rates(body, shell, ground, s, T, turning)
+    by_normal = isinstance(body, AbstractNormalSurface)
+    q_dot, qc_dot = _chart_rates(by_normal, shell, ground, s, T, turning)
     steps = matvec(shell.lengths, q_dot)
     tilt_1, tilt_2 = components(matvec(shell.frame_rates, q_dot))
     gam_q = dot(_spin(shell), q_dot)
@@ -172,6 +175,7 @@ def chart_contact(
         base_turn=ABC,
         angle_rate=s * dot(_spin(ground), qc_dot) - gam_q - n,
         sign=s,
+        by_normal=by_normal,
     )
 
 
@@ -206,12 +210,11 @@ def charts_of(
 
 
 def virtual_rates(
-    body: AbstractSurface, contact: ChartContact, turn: Float[Array, "3"]
+    contact: ChartContact, turn: Float[Array, "3"]
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], Float[Array, ""]]:
     """``(dq, dqc, dtheta)`` of a virtual turn on (e1, e2, e3), the base held still.
 
     Args:
-        body: Surface of the body.
         contact: Contact in charts.
         turn: ``(dV^3, dV^4, dV^5)`` [rad].
 
@@ -220,18 +223,20 @@ def virtual_rates(
     shell, ground, s = contact.shell, contact.ground, contact.sign
     sigma, tau, n = components(turn)
     turning = jnp.stack([tau, -sigma])
-    dq, dqc = _chart_rates(body, shell, ground, s, contact.tangents, turning)
+    dq, dqc = _chart_rates(
+        contact.by_normal, shell, ground, s, contact.tangents, turning
+    )
     return dq, dqc, s * dot(_spin(ground), dqc) - dot(_spin(shell), dq) - n
 
 
-def _chart_rates(body, shell, ground, s, T, turning) -> tuple[Array, Array]:
+def _chart_rates(by_normal, shell, ground, s, T, turning) -> tuple[Array, Array]:
     """Rates of both charts: ``W q' - s T W_c qc' = r`` and ``L q' = T L_c qc'``.
 
     Divided is by what cannot vanish: the turn of a surface given by its normal (whose
     edges have no length), the length of any other.
     """
     own, other = s * matmul(T, ground.frame_rates), matmul(T, ground.lengths)
-    if isinstance(body, AbstractNormalSurface):
+    if by_normal:
         kept, solved, still = shell.lengths, shell.frame_rates, own
         tilt = solve_2x2(solved, turning)
         columns = [solve_2x2(solved, still[:, a]) for a in range(2)]
