@@ -121,6 +121,9 @@ def read_at2(path: str | os.PathLike[str]) -> Accelerogram:
         path: Text file: header lines, ``NPTS= 2000, DT= .02000 SEC`` (or the older
             ``2000 .0200 NPTS, DT``), then the samples.
 
+    Returns:
+        One component [m/s^2].
+
     Raises:
         FieldError: the file cannot be read, or is not such a record.
     """
@@ -146,6 +149,9 @@ def read_single_column(path: str | os.PathLike[str], unit: str = "g") -> Acceler
     Args:
         path: Text file.
         unit: Of the samples: "g", "m/s2", "cm/s2" or "mm/s2".
+
+    Returns:
+        One component [m/s^2].
 
     Raises:
         FieldError: the file cannot be read, is not such a record, or an unknown unit.
@@ -177,6 +183,9 @@ def read_two_column(path: str | os.PathLike[str], unit: str = "g") -> Accelerogr
     Args:
         path: Text file; columns separated by blanks, tabs, commas or semicolons.
         unit: Of the accelerations: "g", "m/s2", "cm/s2" or "mm/s2".
+
+    Returns:
+        One to three components [m/s^2].
 
     Raises:
         FieldError: the file cannot be read, is not such a record (gaps, unequal
@@ -289,7 +298,7 @@ def builtin_record(name: str) -> Accelerogram:
     Args:
         name: "eqsig-test-motion" (one component, 46.8 s) or "kaikoura-2016-wtmc"
             (Kaikoura 2016, station WTMC of GeoNet, New Zealand: N28W, S62W, Up;
-            163.8 s, CC BY); see records/README.md for sources and licences.
+            163.8 s, CC BY) [m/s^2]; see records/README.md for sources and licences.
 
     Raises:
         FieldError: another name.

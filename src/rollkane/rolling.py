@@ -29,7 +29,16 @@ from .voronets import AnyState, VoronetsState, chart_contact
 
 
 def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
-    """The contact of a scene's body at a time [s], in a state of either coordinates."""
+    """The contact of a scene's body.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: In pole-free or in Voronets coordinates.
+
+    Returns:
+        The contact; for a Voronets state a ``ChartContact``.
+    """
     body, base = scene.body.surface, scene.base.surface
     motion = scene.base.motion
     moving = None if motion is None else motion.at(t)

@@ -16,12 +16,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .bodies import checked_inertia
-from .checks import FieldError, is_traced, positive
+from .carried_functions import functions_of, moved
+from .checks import FieldError, positive
 from .small_linear import components, dot, matmul
-from .user_function import UserFunction, accepts, check_output
-
-# Coordinates of one part are counted up to here when the user does not say how many.
-_MOST_COORDINATES = 8
+from .user_function import UserFunction, check_output
 
 
 class Turning(eqx.Module):
@@ -159,7 +157,7 @@ class PointMasses(_Driven):
         self.mass = positive("PointMasses.mass", mass, (None,), "masses in kg, (k,)")
         shapes = {"position": (self.mass.shape[0], 3)}
         given = {"position": position, "force": force, "potential": potential}
-        made = _functions("PointMasses", given, shapes, parameters, coordinates)
+        made = functions_of("PointMasses", given, shapes, parameters, coordinates)
         self.count = made.count
         self.position = made.functions["position"]
         self.force = made.functions["force"]
@@ -168,7 +166,7 @@ class PointMasses(_Driven):
     def carried(self, t, alpha, alpha_dot) -> Carried:
         """The masses at one instant; the positions are differentiated here, once."""
         del t
-        place, velocity, bias, partials = _moved(self.position, alpha, alpha_dot)
+        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
         return Carried(
             self.mass, place.T, velocity.T, bias.T, tuple(p.T for p in partials)
         )
@@ -238,7 +236,7 @@ class SupportedBody(_Driven):
             "force": force,
             "potential": potential,
         }
-        made = _functions("SupportedBody", given, shapes, parameters, coordinates)
+        made = functions_of("SupportedBody", given, shapes, parameters, coordinates)
         self.count = made.count
         self.position = made.functions["position"]
         self.rotation = made.functions["rotation"]
@@ -248,8 +246,8 @@ class SupportedBody(_Driven):
     def carried(self, t, alpha, alpha_dot) -> Carried:
         """The body at one instant."""
         del t
-        place, velocity, bias, partials = _moved(self.position, alpha, alpha_dot)
-        turned = _moved(self.rotation, alpha, alpha_dot)
+        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
+        turned = moved(self.rotation, alpha, alpha_dot)
         return Carried(
             self.mass[None],
             place[:, None],
@@ -284,8 +282,8 @@ class Prescribed(AbstractSupported):
         Args:
             supported: ``PointMasses`` or ``SupportedBody``; its force is whatever the
                 motion needs, and its own is not used.
-            motion: ``motion(t)`` (then parameters) -> alpha, shape (n,); twice
-                differentiable.
+            motion: ``motion(t)`` (then parameters) -> alpha, shape (n,), of the time
+                t [s]; twice differentiable.
             parameters: Tree of numbers that it depends on; differentiable.
 
         Raises:
@@ -336,23 +334,6 @@ def _pushed(bias: Array, partials: tuple[Array, ...], accelerations: list) -> Ar
     return bias
 
 
-def _moved(function: UserFunction, alpha, alpha_dot) -> tuple:
-    """Value, rate, second rate at alpha'' = 0, and partial derivatives."""
-    if not alpha.shape[0]:
-        value = function(alpha)
-        return value, jnp.zeros_like(value), jnp.zeros_like(value), ()
-
-    def rate(alpha):
-        return jax.jvp(function, (alpha,), (alpha_dot,))
-
-    (value, velocity), (_, bias) = jax.jvp(rate, (alpha,), (alpha_dot,))
-    partials = tuple(
-        jax.jvp(function, (alpha,), (unit,))[1]
-        for unit in jnp.eye(alpha.shape[0], dtype=alpha.dtype)
-    )
-    return value, velocity, bias, partials
-
-
 def _turning(inertia, R, R_dot, R_ddot, partials) -> Turning:
     """Relative rotation on body axes: ``dR R^T = skew(dw)``."""
 
@@ -370,93 +351,6 @@ def _turning(inertia, R, R_dot, R_ddot, partials) -> Turning:
         bias=spin(R_ddot) - products,
         partials=tuple(spin(partial) for partial in partials),
     )
-
-
-class _Made(eqx.Module):
-    functions: dict[str, Any]
-    count: int = eqx.field(static=True)
-
-
-def _functions(owner: str, given: dict, shapes: dict, parameters, count) -> _Made:
-    """The functions of a part, wrapped, with the number of coordinates that fits."""
-    if count is not None:
-        if isinstance(count, bool) or not isinstance(count, int) or count < 0:
-            field = f"{owner}.coordinates"
-            raise FieldError(
-                field, count, "must be a whole number", "give 0, 1, 2, ..."
-            )
-        return _wrapped(owner, given, shapes, parameters, count)
-    fitting, refusal = [], None
-    for n in range(_MOST_COORDINATES + 1):
-        try:
-            fitting.append(_wrapped(owner, given, shapes, parameters, n))
-        except FieldError as error:
-            refusal = refusal or error if n == 0 else error if n == 1 else refusal
-    if not fitting:
-        assert refusal is not None
-        raise refusal
-    if len(fitting) == 1:
-        return fitting[0]
-    # indexing alpha[1] of too short an array is no error in JAX: see what is used
-    used = _used_coordinates(owner, fitting[-1])
-    return next((made for made in fitting if made.count >= used), fitting[-1])
-
-
-def _wrapped(owner: str, given: dict, shapes: dict, parameters, n: int) -> _Made:
-    shapes = shapes | {"force": (n,), "potential": ()}
-    functions = {}
-    for name, function in given.items():
-        field = f"{owner}.{name}"
-        if function is None:
-            functions[name] = None
-            continue
-        size = 1 + 2 * n if name == "force" else n
-        takes = parameters is not None and accepts(function, 4)
-        if name == "force" and callable(function):
-            function = _Force(function, n, takes)
-        functions[name] = UserFunction(field, function, size, parameters, of_array=True)
-        check_output(field, functions[name], jnp.zeros(size), shapes[name])
-    return _Made(functions, n)
-
-
-class _Force(eqx.Module):
-    """``force(t, alpha, alpha_dot)`` as a function of one array (t, alpha, alpha')."""
-
-    force: Any
-    n: int = eqx.field(static=True)
-    takes_parameters: bool = eqx.field(static=True)
-
-    def __call__(self, arguments, parameters=None):
-        """Generalized forces."""
-        alpha, alpha_dot = arguments[1 : 1 + self.n], arguments[1 + self.n :]
-        extra = (parameters,) if self.takes_parameters else ()
-        result = self.force(arguments[0], alpha, alpha_dot, *extra)
-        if isinstance(result, (tuple, list)):
-            result = jnp.stack([jnp.asarray(x) for x in result])
-        return result
-
-
-def _used_coordinates(owner: str, made: _Made) -> int:
-    """Number of coordinates that the places of a part depend on."""
-    used = 0
-    # two odd places: a derivative that vanishes at one of them by chance
-    for seed in (0.37, -1.13):
-        alpha = seed + 0.21 * jnp.arange(made.count, dtype=jnp.result_type(float))
-        for name in ("position", "rotation"):
-            function = made.functions.get(name)
-            if function is None:
-                continue
-            slopes = jax.jacfwd(function)(alpha)
-            if is_traced(slopes):
-                raise FieldError(
-                    f"{owner}.coordinates",
-                    None,
-                    "cannot be found while the functions depend on traced numbers",
-                    "say how many coordinates there are: coordinates=1",
-                )
-            moved = np.abs(np.asarray(slopes)).reshape(-1, made.count).max(axis=0) > 0
-            used = max(used, int(np.max(np.flatnonzero(moved), initial=-1)) + 1)
-    return used
 
 
 def total(vectors: Float[Array, "3 k"]) -> Float[Array, "3"]:

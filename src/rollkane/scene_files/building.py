@@ -6,8 +6,6 @@ again, so that all bad fields of all parts are known at once.
 """
 
 import functools
-import math
-from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax.numpy as jnp
@@ -33,8 +31,10 @@ from ..surfaces import (
     Sphere,
     Torus,
 )
+from .attempting import attempt, noting, product_of_turns, usable
 from .checking import likely_kind
-from .formulas import CONSTANTS, FUNCTIONS, Formula, FormulaError, parse
+from .formulas import Formula
+from .moving import checked_formulas, motion_of, supported_of
 from .positions import Path
 from .problems import Report
 from .tables import SURFACES, StartTable
@@ -55,24 +55,7 @@ _BY_FORMULA = {
     "parametric": (Parametric, "position", ("x", "y", "z"), ("q1", "q2")),
     "implicit": (Implicit, "f", ("f",), ("x", "y", "z")),
 }
-# Unobjectionable values for fields that were refused.
-_STAND_INS = {
-    "mass": 1.0,
-    "center_of_mass": (0.0, 0.0, 0.0),
-    "inertia": np.eye(3),
-    "radius": 1.0,
-    "center": (0.0, 0.0, 0.0),
-    "semi_axes": (1.0, 1.0, 1.0),
-    "major_radius": 1e30,  # above any tube, so that the tube is judged alone
-    "minor_radius": 1e-30,
-    "slope": 1.0,
-    "size": 1.0,
-    "acceleration": (0.0, 0.0, 0.0),
-}
-
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
-
-Note = Callable[[str, FieldError], None]
 
 
 def build(report: Report) -> tuple[Scene, State] | None:
@@ -87,66 +70,16 @@ def build(report: Report) -> tuple[Scene, State] | None:
     body = _body(report)
     base = _base(report)
     loads = _loads(report)
+    supported = supported_of(report)
     _check_tolerance(report)
     scene = None
-    if body is not None and base is not None and loads is not None:
-        scene = Scene(body, base, loads=loads)
+    found = base is not None and loads is not None and supported is not None
+    if body is not None and found:
+        scene = Scene(body, base, supported, loads)
     start = _start(scene, report)
     if scene is None or start is None:
         return None
     return scene, start
-
-
-def _attempt(
-    make: Callable[..., Any],
-    arguments: dict[str, Any],
-    note: Note,
-    stand_ins: dict[str, Any] | None = None,
-) -> Any:
-    """What ``make`` makes, or None after noting each argument that it refuses."""
-    stand_ins = _STAND_INS if stand_ins is None else stand_ins
-    refused = set()
-    while True:
-        try:
-            made = make(**arguments)
-        except FieldError as error:
-            name = error.field.partition(".")[2]
-            note(name, error)
-            if name in refused or name not in stand_ins:
-                return None
-            refused.add(name)
-            arguments = arguments | {name: stand_ins[name]}
-        else:
-            return None if refused else made
-
-
-def _noting(path: Path, fields: Any, report: Report) -> Note:
-    """Note a refusal at its field, or at the part where the part has no such field."""
-
-    def note(name: str, error: FieldError) -> None:
-        where = (*path, name) if name in fields else path
-        problem = error.problem
-        if where == path and name:
-            problem = f"{name} {problem}"
-        report.add(where, problem, error.remedy)
-
-    return note
-
-
-def _usable(
-    path: Path, names: Iterable[str], required: Iterable[str], report: Report
-) -> dict[str, Any]:
-    """The fields of a table that are of the right type; stand-ins for required ones.
-
-    So the good fields of a table are judged even where others are known to be bad.
-    """
-    table = report.value(path)
-    given = {
-        name: table[name]
-        for name in names
-        if name in table and not report.has_below((*path, name))
-    }
-    return {name: _STAND_INS[name] for name in required} | given
 
 
 def _body(report: Report) -> Body | None:
@@ -154,9 +87,9 @@ def _body(report: Report) -> Body | None:
     if not isinstance(report.document.get("body"), dict):
         return None
     numbers = ("mass", "center_of_mass", "inertia")
-    arguments = _usable(("body",), numbers, ("mass", "inertia"), report)
+    arguments = usable(("body",), numbers, ("mass", "inertia"), report)
     arguments["surface"] = Sphere(1.0) if surface is None else surface
-    body = _attempt(Body, arguments, _noting(("body",), numbers, report))
+    body = attempt(Body, arguments, noting(("body",), numbers, report))
     return None if report.has_below(("body",)) else body
 
 
@@ -164,7 +97,12 @@ def _base(report: Report) -> Base | None:
     if "base" not in report.document:
         return Base()
     surface = _surface(("base", "surface"), report)
-    return None if report.has_below(("base",)) or surface is None else Base(surface)
+    motion = motion_of(report)
+    return (
+        None
+        if report.has_below(("base",)) or surface is None
+        else Base(surface, motion)
+    )
 
 
 def _loads(report: Report) -> tuple[Gravity, ...] | None:
@@ -175,8 +113,8 @@ def _loads(report: Report) -> tuple[Gravity, ...] | None:
     for i, table in enumerate(given if isinstance(given, list) else ()):
         path = ("loads", i)
         if isinstance(table, dict):
-            arguments = _usable(path, ("acceleration",), (), report)
-            loads.append(_attempt(Gravity, arguments, _noting(path, arguments, report)))
+            arguments = usable(path, ("acceleration",), (), report)
+            loads.append(attempt(Gravity, arguments, noting(path, arguments, report)))
     return None if report.has_below(("loads",)) else tuple(loads)
 
 
@@ -192,16 +130,16 @@ def _surface(path: Path, report: Report) -> AbstractSurface | None:
     required = {name for name, field in fields.items() if field.is_required()}
     if kind in _CATALOGUE:
         make = _CATALOGUE[kind]
-        arguments = _usable(path, set(fields) - {"kind"}, required - {"kind"}, report)
+        arguments = usable(path, set(fields) - {"kind"}, required - {"kind"}, report)
     else:
         make, argument, texts, coordinates = _BY_FORMULA[kind]
         names = set(fields) - {"kind", "parameters", *texts}
-        arguments = _usable(path, names, (), report)
+        arguments = usable(path, names, (), report)
         formula = _formula(path, texts, coordinates, report)
         arguments[argument] = formula
         if formula.parameters:
             arguments["parameters"] = table["parameters"]
-    surface = _attempt(make, arguments, _noting(path, tuple(fields), report))
+    surface = attempt(make, arguments, noting(path, tuple(fields), report))
     return None if report.has_below(path) else surface
 
 
@@ -210,25 +148,8 @@ def _formula(
 ) -> Formula:
     """The formulas of a surface; zero where one of them cannot be read."""
     table = report.value(path)
-    given = table.get("parameters", {})
-    parameters = tuple(given) if isinstance(given, dict) else ()
-    for name in parameters:
-        taken = name in (*coordinates, *FUNCTIONS, *CONSTANTS)
-        if taken or not (name.isidentifier() and name.isascii()):
-            problem = "is taken already" if taken else "is not a name for a formula"
-            remedy = "use another name of letters, digits and _"
-            report.add((*path, "parameters", name), problem, remedy, at_key=True)
-    for field in fields:
-        if not isinstance(table.get(field), str):
-            continue
-        try:
-            parse(table[field], coordinates, parameters)
-        except FormulaError as error:
-            where = (*path, field)
-            report.add(where, error.problem, error.remedy, shift=error.shift)
-    if report.has_below(path):
-        return Formula(("0",) * len(fields), coordinates)
-    return Formula(tuple(table[field] for field in fields), coordinates, parameters)
+    where = [((*path, field), table.get(field)) for field in fields]
+    return checked_formulas(path, where, coordinates, report)
 
 
 def _check_tolerance(report: Report) -> None:
@@ -245,9 +166,9 @@ def _check_tolerance(report: Report) -> None:
 def _start(scene: Scene | None, report: Report) -> State | None:
     if not isinstance(report.document.get("start"), dict):
         return None
-    given = _usable(("start",), StartTable.model_fields, (), report)
+    given = usable(("start",), StartTable.model_fields, (), report)
     if "rotations" in given:
-        orientation = _product(given["rotations"])
+        orientation = product_of_turns(given["rotations"])
     else:
         orientation = given.get("orientation", _UNTURNED)
     velocity = given.get("angular_velocity", (0.0, 0.0, 0.0))
@@ -259,36 +180,32 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         "contact_on_base": given.get("contact_on_base", (0.0, 0.0, 0.0)),
         "base_normal": given.get("base_normal"),
     }
+    still = np.zeros(0 if scene is None else scene.coordinate_count)
+    arguments |= {name: given.get(name, still) for name in ("alpha", "alpha_dot")}
     where = None if report.has_below(("start",)) else scene
     if where is None:  # some part is missing: judge at least what needs no scene
         where = Scene(Body(1.0, np.eye(3), Sphere(1.0)))
         scene = None
         arguments |= {"contact_on_base": (0.0, 0.0, 0.0), "base_normal": None}
+        arguments |= {"alpha": (), "alpha_dot": ()}
 
     def note(name: str, error: FieldError) -> None:
+        if error.field == "Scene.supported":
+            report.add(("supported",), error.problem, error.remedy)
+            return
         # a refusal by the base's surface itself is one of the contact point
         field = name if name in arguments else "contact_on_base"
         if field == "orientation" and "rotations" in given:
             field = "rotations"
         report.add(("start", field), error.problem, error.remedy)
 
-    start = _attempt(
+    start = attempt(
         functools.partial(place, where),
         arguments,
         note,
-        {"orientation": _unit(orientation)},
+        {"orientation": _unit(orientation), "alpha": still, "alpha_dot": still},
     )
     return None if scene is None else start
-
-
-def _product(turns: list[tuple[str, float]]) -> np.ndarray:
-    """Quaternion of turns about x, y or z [degrees], matrices left to right."""
-    a, v = 1.0, np.zeros(3)
-    for axis, degrees in turns:
-        half = 0.5 * math.radians(degrees)
-        b, w = math.cos(half), math.sin(half) * np.eye(3)["xyz".index(axis)]
-        a, v = a * b - v @ w, a * w + b * v + np.cross(v, w)
-    return np.array([a, *v])
 
 
 def _rotated(quaternion: Any, vector: Any) -> np.ndarray:

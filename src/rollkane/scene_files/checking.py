@@ -12,6 +12,7 @@ from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at
 
 _PAIRS = (("orientation", "rotations"), ("angular_velocity", "angular_velocity_body"))
+_TABLES = ("body", "base", "surface", "motion", "start", "run")
 _WANTED = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -101,7 +102,7 @@ def _note_missing(path: Path, report: Report, remedy: str) -> None:
     if isinstance(path[-1], int):  # an entry of a pair that is too short
         report.add(path[:-1], "must have 2 entries", remedy)
         return
-    is_table = path[-1] in ("body", "base", "surface", "start", "run")
+    is_table = path[-1] in _TABLES
     add = f"add [{dotted(path)}]" if is_table else f"add {path[-1]} = ..."
     report.add(path, "is missing", f"{add}: {remedy.removeprefix('give ')}")
 
@@ -132,32 +133,38 @@ def _meaning(path: Path, document: dict[str, Any]) -> str:
     return "what `rollkane schema` says"
 
 
-def likely_kind(table: dict[str, Any]) -> str | None:
-    """The kind of a surface's table; the likely one where it names none that is known.
+def likely_kind(table: dict[str, Any], known_kinds: Any = SURFACES) -> str | None:
+    """The kind of a table; the likely one where it names none that is known.
 
     Args:
-        table: A table ``surface``, with or without a good ``kind``.
+        table: A table, such as a surface's, with or without a good ``kind``.
+        known_kinds: Kind to model, for what may stand there.
 
     Returns:
         The known kind that looks most like its ``kind``, or else the only kind with
         all its names, or None.
     """
     kind = table.get("kind")
-    if isinstance(kind, str) and kind in SURFACES:
+    if isinstance(kind, str) and kind in known_kinds:
         return kind
     names = set(table) - {"kind"}
     fitting = [
-        known for known, model in SURFACES.items() if names <= set(model.model_fields)
+        known
+        for known, model in known_kinds.items()
+        if names <= set(model.model_fields)
     ]
-    return nearest(kind, SURFACES) or (fitting[0] if len(fitting) == 1 else None)
+    return nearest(kind, known_kinds) or (fitting[0] if len(fitting) == 1 else None)
 
 
 def _with_likely_kinds(document: dict[str, Any]) -> dict[str, Any] | None:
     """The document with likely kinds for unknown ones; None if all are known."""
     changed = copy.deepcopy(document)
-    for path in (("body", "surface"), ("base", "surface")):
-        table = _found(changed, path)
-        if isinstance(table, dict) and (likely := likely_kind(table)) is not None:
+    parts = document.get("supported")
+    count = len(parts) if isinstance(parts, list) else 0
+    paths: list[Path] = [("body", "surface"), ("base", "surface"), ("base", "motion")]
+    for path in paths + [("supported", i) for i in range(count)]:
+        table, kinds = _found(changed, path), kinds_at(path)
+        if isinstance(table, dict) and (likely := likely_kind(table, kinds)):
             table["kind"] = likely
     return None if changed == document else changed
 

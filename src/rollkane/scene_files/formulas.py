@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..small_linear import matmul
 from .problems import suggestion
 
 FUNCTIONS = {
@@ -94,6 +95,78 @@ class Formula:
     def __repr__(self) -> str:
         """The expressions as they were written."""
         return ", ".join(repr(text) for text in self.texts)
+
+
+@dataclass(frozen=True)
+class ArrayFormula:
+    """Formulas of one array of coordinates, as an array of any shape.
+
+    Attributes:
+        formula: The expressions, in the array's order.
+        shape: Of the result.
+    """
+
+    formula: Formula
+    shape: tuple[int, ...]
+
+    def __call__(self, coordinates: Array, parameters: Any = None) -> Array:
+        """Values at a scalar, or at coordinates of shape (n,)."""
+        point = coordinates if coordinates.ndim else coordinates[None]
+        values = self.formula(*point, parameters)
+        return jnp.reshape(values, self.shape)
+
+
+@dataclass(frozen=True)
+class ForceFormula:
+    """Generalized forces ``force(t, alpha, alpha_dot)`` by formulas.
+
+    Attributes:
+        formula: One expression for each coordinate, in t, coordinates and rates.
+    """
+
+    formula: Formula
+
+    def __call__(
+        self, t: Array, alpha: Array, alpha_dot: Array, parameters: Any = None
+    ) -> Array:
+        """Values at a time."""
+        values = self.formula(t, *alpha, *alpha_dot, parameters)
+        return jnp.reshape(values, (len(self.formula.texts),))
+
+
+@dataclass(frozen=True)
+class TurnsFormula:
+    """A rotation by turns about x, y or z whose angles [rad] are formulas.
+
+    Attributes:
+        axes: Of the turns; their matrices multiply from left to right.
+        formula: One angle for each.
+    """
+
+    axes: tuple[str, ...]
+    formula: Formula
+
+    def __call__(self, coordinates: Array, parameters: Any = None) -> Array:
+        """Rotation matrix at a scalar, or at coordinates of shape (n,)."""
+        point = coordinates if coordinates.ndim else coordinates[None]
+        result = jnp.eye(3, dtype=point.dtype)
+        if not self.axes:
+            return result
+        angles = jnp.reshape(self.formula(*point, parameters), (len(self.axes),))
+        for axis, angle in zip(self.axes, angles, strict=True):
+            result = matmul(result, _turned(axis, angle))
+        return result
+
+
+def _turned(axis: str, angle: Array) -> Array:
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
+    one = jnp.ones_like(c)
+    entries = {(i, i): c, (i, j): -s, (j, i): s, (j, j): c, (k, k): one}
+    rows = [
+        [entries.get((a, b), jnp.zeros_like(c)) for b in range(3)] for a in range(3)
+    ]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def parse(

@@ -8,39 +8,35 @@ constructors of the library, which say it in the same words everywhere.
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
+from .moving_tables import MOTIONS, SUPPORTED, Motion, Supported
 from .positions import Path
-
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
-Quaternion = Annotated[list[float], Field(min_length=4, max_length=4)]
-Matrix = Annotated[list[Vector], Field(min_length=3, max_length=3)]
-Range = Annotated[list[float], Field(min_length=2, max_length=2)]
-Ranges = Annotated[list[Range], Field(min_length=2, max_length=2)]
-# a TOML array is a list; strict tuples would refuse it
-Turn = Annotated[tuple[Literal["x", "y", "z"], float], Field(strict=False)]
-Positive = Annotated[float, Field(gt=0)]
+from .table_types import (
+    PARAMETERS,
+    Matrix,
+    Positive,
+    Quaternion,
+    Range,
+    Ranges,
+    Table,
+    Turn,
+    Vector,
+)
 
 _CENTER = "its centre, three lengths in its owner's axes [m]"
 _INSIDE = "true where the other body touches from within, else false"
-_PARAMETERS = "a table of numbers that the formulas may name"
 _SURFACE = 'a table such as { kind = "sphere", radius = 0.1 } [m]'
 _PAIR = "two ranges [[low, high], [low, high]]"
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", strict=True, frozen=True, allow_inf_nan=False
-    )
-
-
-class PlaneTable(_Table):
+class PlaneTable(Table):
     """The plane z = 0, material below."""
 
     kind: Literal["plane"]
 
 
-class SphereTable(_Table):
+class SphereTable(Table):
     """A sphere, or a spherical cavity."""
 
     kind: Literal["sphere"]
@@ -49,7 +45,7 @@ class SphereTable(_Table):
     inside: bool = Field(default=False, description=_INSIDE)
 
 
-class EllipsoidTable(_Table):
+class EllipsoidTable(Table):
     """An ellipsoid with its axes along its owner's, or such a cavity."""
 
     kind: Literal["ellipsoid"]
@@ -58,7 +54,7 @@ class EllipsoidTable(_Table):
     inside: bool = Field(default=False, description=_INSIDE)
 
 
-class TorusTable(_Table):
+class TorusTable(Table):
     """A torus about the z axis."""
 
     kind: Literal["torus"]
@@ -71,7 +67,7 @@ class TorusTable(_Table):
     inside: bool = Field(default=False, description=_INSIDE)
 
 
-class CylinderTable(_Table):
+class CylinderTable(Table):
     """A circular cylinder about the z axis, without ends."""
 
     kind: Literal["cylinder"]
@@ -79,7 +75,7 @@ class CylinderTable(_Table):
     inside: bool = Field(default=False, description=_INSIDE)
 
 
-class ConeTable(_Table):
+class ConeTable(Table):
     """The cone z = slope * distance from the z axis."""
 
     kind: Literal["cone"]
@@ -89,32 +85,32 @@ class ConeTable(_Table):
     )
 
 
-class DiscEdgeTable(_Table):
+class DiscEdgeTable(Table):
     """The sharp rim of a disc in the plane z = 0, axis z."""
 
     kind: Literal["disc-edge"]
     radius: float = Field(description="the radius of the rim [m], positive")
 
 
-class GraphTable(_Table):
+class GraphTable(Table):
     """The surface z = f(x, y), the other body above."""
 
     kind: Literal["graph"]
     f: str = Field(description='a formula in x and y [m], such as "0.3*x**2"')
-    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
     domain: Ranges = Field(
         default=[[-1.0, 1.0], [-1.0, 1.0]],
         description=_PAIR + " of x and y [m] for searches and drawing",
     )
 
 
-class RevolutionTable(_Table):
+class RevolutionTable(Table):
     """A surface of revolution about z: radius(s), height(s)."""
 
     kind: Literal["revolution"]
     radius: str = Field(description='a formula in s [m], such as "0.1*sin(s)"')
     height: str = Field(description='a formula in s [m], such as "-0.1*cos(s)"')
-    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
     domain: Range = Field(
         default=[0.0, math.pi], description="the range [low, high] of s"
     )
@@ -124,14 +120,14 @@ class RevolutionTable(_Table):
     )
 
 
-class ParametricTable(_Table):
+class ParametricTable(Table):
     """A surface by its position as a function of q1 and q2."""
 
     kind: Literal["parametric"]
     x: str = Field(description='a formula in q1 and q2 [m], such as "cos(q1)*cos(q2)"')
     y: str = Field(description='a formula in q1 and q2 [m], such as "sin(q1)*cos(q2)"')
     z: str = Field(description='a formula in q1 and q2 [m], such as "sin(q2)"')
-    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
     domain: Ranges = Field(
         default=[[-math.pi, math.pi], [-0.5 * math.pi, 0.5 * math.pi]],
         description=_PAIR + " of q1 and q2 for searches and drawing",
@@ -143,12 +139,12 @@ class ParametricTable(_Table):
     )
 
 
-class ImplicitTable(_Table):
+class ImplicitTable(Table):
     """The surface f(x, y, z) = 0, with f < 0 in the material."""
 
     kind: Literal["implicit"]
     f: str = Field(description='a formula in x, y, z, such as "x**2 + y**2 + z**4 - 1"')
-    parameters: dict[str, float] = Field(default={}, description=_PARAMETERS)
+    parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
     center: Vector = Field(
         default=[0.0, 0.0, 0.0],
         description="a point of the material from which the surface is searched [m]",
@@ -158,7 +154,7 @@ class ImplicitTable(_Table):
     )
 
 
-class GravityTable(_Table):
+class GravityTable(Table):
     """Uniform gravity."""
 
     kind: Literal["gravity"]
@@ -168,7 +164,7 @@ class GravityTable(_Table):
     )
 
 
-SURFACES: dict[str, type[_Table]] = {
+SURFACES: dict[str, type[Table]] = {
     "plane": PlaneTable,
     "sphere": SphereTable,
     "ellipsoid": EllipsoidTable,
@@ -181,7 +177,7 @@ SURFACES: dict[str, type[_Table]] = {
     "parametric": ParametricTable,
     "implicit": ImplicitTable,
 }
-LOADS: dict[str, type[_Table]] = {"gravity": GravityTable}
+LOADS: dict[str, type[Table]] = {"gravity": GravityTable}
 
 Surface = Annotated[
     PlaneTable
@@ -199,7 +195,7 @@ Surface = Annotated[
 ]
 
 
-class BodyTable(_Table):
+class BodyTable(Table):
     """The rolling body."""
 
     mass: float = Field(description="the mass [kg], positive")
@@ -214,13 +210,17 @@ class BodyTable(_Table):
     surface: Surface = Field(description=_SURFACE)
 
 
-class BaseTable(_Table):
-    """What the body rolls on; its axes are the fixed axes."""
+class BaseTable(Table):
+    """What the body rolls on; its axes are the fixed axes unless it moves."""
 
     surface: Surface = Field(description=_SURFACE)
+    motion: Motion | None = Field(
+        default=None,
+        description='a table such as { kind = "spin", rate = 4.0 }; left out, at rest',
+    )
 
 
-class StartTable(_Table):
+class StartTable(Table):
     """How the motion starts."""
 
     model_config = ConfigDict(
@@ -258,9 +258,17 @@ class StartTable(_Table):
         default=None,
         description="the base's outward normal there, only for a base with an edge [1]",
     )
+    alpha: list[float] | None = Field(
+        default=None,
+        description="a list of the coordinates of all that is supported; left out, "
+        "zeros",
+    )
+    alpha_dot: list[float] | None = Field(
+        default=None, description="a list of their rates; left out, zeros"
+    )
 
 
-class RunTable(_Table):
+class RunTable(Table):
     """How long the motion lasts and how exactly it is computed."""
 
     duration: Positive = Field(description="the time it lasts [s], positive")
@@ -275,7 +283,7 @@ class RunTable(_Table):
     )
 
 
-class SceneTable(_Table):
+class SceneTable(Table):
     """A scene of rollkane: a body that rolls on a base. SI units, right-handed axes."""
 
     title: str = Field(default="", description="a line of text")
@@ -289,21 +297,28 @@ class SceneTable(_Table):
         default=None,
         description="tables [[loads]]; left out, gravity; loads = [] for none",
     )
+    supported: list[Supported] | None = Field(
+        default=None, description="tables [[supported]] of what the body carries"
+    )
     start: StartTable = Field(description="a table [start]")
     run: RunTable = Field(description="a table [run]")
 
 
-def kinds_at(path: Path) -> dict[str, type[_Table]] | None:
+def kinds_at(path: Path) -> dict[str, type[Table]] | None:
     """The tables that may stand at a path, by their ``kind``; None elsewhere."""
     match path:
         case ("body" | "base", "surface"):
             return SURFACES
         case ("loads", int()):
             return LOADS
+        case ("base", "motion"):
+            return MOTIONS
+        case ("supported", int()):
+            return SUPPORTED
     return None
 
 
-def table_at(path: Path, kind: Any = None) -> type[_Table] | None:
+def table_at(path: Path, kind: Any = None) -> type[Table] | None:
     """The table that stands at a path.
 
     Args:
