@@ -99,7 +99,8 @@ class System(NamedTuple):
         rows: Lower triangle by rows, row i with i + 1 entries.
         rhs: Its right-hand side, 3 + n entries.
         arm: Mass centre of the body alone from the contact point [m].
-        pull: ``g - a_P``, fields less acceleration of the body's point [m/s^2].
+        proper: ``a_P - g``, what an accelerometer at the body's point of contact
+            would show: its acceleration less the fields [m/s^2].
         force: Loads that act on the body as a force [N]; None for none.
         masses: What is carried.
     """
@@ -107,7 +108,7 @@ class System(NamedTuple):
     rows: list[list[Array]]
     rhs: list[Array]
     arm: Float[Array, "3"]
-    pull: Float[Array, "3"]
+    proper: Float[Array, "3"]
     force: Float[Array, "3"] | None
     masses: tuple[Masses, ...]
 
@@ -119,11 +120,11 @@ def assemble(
     body, w = scene.body, contact.angular_velocity
     c = body.center_of_mass - contact.body_point
     Th = inertia_about(body.mass, c, body.inertia)
-    pull = -contact.body_point_acceleration
+    proper = contact.body_point_acceleration
     field = field_of(scene.loads)
     if field is not None:
-        pull = pull + matvec_transposed(contact.rotation, field)
-    rhs = cross(c, body.mass * pull) - cross(w, times_lower(Th, w))
+        proper = proper - matvec_transposed(contact.rotation, field)
+    rhs = cross(body.mass * proper, c) - cross(w, times_lower(Th, w))
     force = None
     for load in scene.loads:
         wrench = load.wrench(t, body, contact)
@@ -134,11 +135,11 @@ def assemble(
     for supported, alpha, alpha_dot in shares(
         scene.supported, state.alpha, state.alpha_dot
     ):
-        part = _masses(supported.carried(t, alpha, alpha_dot), contact, pull)
+        part = _masses(supported.carried(t, alpha, alpha_dot), contact, proper)
         own = generalized_force(supported, t, alpha, alpha_dot)
         rows, right = _with_masses(rows, right, part, own)
         masses.append(part)
-    return System(rows, right, c, pull, force, tuple(masses))
+    return System(rows, right, c, proper, force, tuple(masses))
 
 
 def accelerations(system: System) -> tuple[Float[Array, "3"], Float[Array, " n"]]:
@@ -178,12 +179,12 @@ def generalized_force(
     return None if force is None else components(force)
 
 
-def _masses(part: Carried, contact: Contact, pull: Float[Array, "3"]) -> Masses:
+def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
     """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**`` (theory 4.1)."""
     w = contact.angular_velocity
     s = part.place - contact.body_point[:, None]
     coriolis = cross(w, cross(w, s) + 2.0 * part.velocity)
-    drive = part.mass[None] * (coriolis + part.bias - pull[:, None])
+    drive = part.mass[None] * (coriolis + part.bias + proper[:, None])
     if part.turning is None:
         return Masses(part, s, drive, None)
     # angular momentum of a rigid part about its own mass centre, I_r (w + w_r)
@@ -260,7 +261,7 @@ def contact_force(
     system = assemble(scene, t, state, contact)
     w_dot, alpha_ddot = accelerations(system)
     w, c = contact.angular_velocity, system.arm
-    relative = cross(w_dot, c) + cross(w, cross(w, c)) - system.pull
+    relative = cross(w_dot, c) + cross(w, cross(w, c)) + system.proper
     force = scene.body.mass * relative
     if system.force is not None:
         force = force - system.force

@@ -10,6 +10,12 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane import quasi_energy, rolling
+from rollkane.base_motion import BaseKinematics
+from rollkane.bodies import inertia_about
+from rollkane.contact import rolling_contact
+from rollkane.rotations import rotation_matrix
+from rollkane.small_linear import components, cross, matvec_transposed, solve_spd
 
 from .. import problems
 
@@ -37,14 +43,50 @@ def scenes():
         ),
         "implicit-ball": (blob, rk.place(blob, level, spin, origin)),
         "no-load": (no_load, rk.place(no_load, level, spin, origin)),
+        **effects(),
     }
 
 
-def equations(scene, start):
-    def rhs(scene, state):
-        return rk.rolling_derivative(scene, jnp.zeros(()), state)
+def slide(a, p):
+    return p["rail"] * a[0]
 
-    return len(jax.make_jaxpr(rhs)(scene, start).eqns)
+
+def effects():
+    """One body, with nothing and with one effect more each."""
+    body = rk.Body(1.0, 0.01 * np.eye(3), rk.Ellipsoid((0.2, 0.15, 0.1)))
+    shake = lambda t: 0.1 * jnp.stack([jnp.sin(t), jnp.cos(t), jnp.sin(2.0 * t)])
+    turn = lambda t: rotation_matrix(jnp.stack([jnp.cos(t), 0.0 * t, t, jnp.sin(t)]))
+    bases = {
+        "translation": rk.BaseMotion(position=shake),
+        "rotation": rk.BaseMotion(rotation=turn),
+        "spin": rk.Spin(0.7),
+    }
+    made = {"at-rest": rk.Scene(body)}
+    made |= {
+        name: rk.Scene(body, rk.Base(rk.Plane(), motion=motion))
+        for name, motion in bases.items()
+    }
+    slider = rk.PointMasses((0.1,), slide, parameters={"rail": np.eye(3)[:1]})
+    thin, along = 1e-4 * np.eye(3), {"rail": np.eye(3)[0]}
+    level = lambda a, p: jnp.eye(3) + 0.0 * a[0] * p["rail"][0]
+    arm = rk.SupportedBody(0.1, thin, slide, level, parameters=along)
+    made["slider"] = rk.Scene(body, supported=(slider,))
+    made["supported-body"] = rk.Scene(body, supported=(arm,))
+    upright, spin, origin = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    starts = {}
+    for name, scene in made.items():
+        rest = np.zeros(scene.coordinate_count)
+        starts[name] = (scene, rk.place(scene, upright, spin, origin, rest, rest))
+    return starts
+
+
+def traced(derivative, scene, start):
+    """The program of a right-hand side."""
+    return jax.make_jaxpr(derivative)(scene, jnp.zeros(()), start)
+
+
+def equations(scene, start):
+    return len(traced(rk.rolling_derivative, scene, start).eqns)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +115,75 @@ def test_gravity_is_not_in_a_scene_without(counts):
     heavy = rk.Scene(body)
     start = rk.place(heavy, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     assert counts["no-load"] < equations(heavy, start)
+
+
+def symmetric(rows, w):
+    """A symmetric matrix, given by its lower triangle, times a vector."""
+    x = components(w)
+    full = [[rows[max(i, j)][min(i, j)] * x[j] for j in range(3)] for i in range(3)]
+    return jnp.stack([a + b + c for a, b, c in full])
+
+
+def core(scene, t, state):
+    """A body on a plane at rest, with its weight: nothing else is written."""
+    del t
+    body, base = scene.body, scene.base.surface
+    w = state.angular_velocity
+    contact = rolling_contact(
+        body.surface,
+        base,
+        state.orientation,
+        w,
+        state.contact_on_base,
+        state.contact_on_body,
+    )
+    c = body.center_of_mass - contact.body_point
+    rows = inertia_about(body.mass, c, body.inertia)
+    proper = cross(contact.velocity, w)
+    for gravity in scene.loads:
+        proper = proper - matvec_transposed(contact.rotation, gravity.acceleration)
+    rhs = cross(body.mass * proper, c) - cross(w, symmetric(rows, w))
+    turn = jnp.stack(solve_spd(rows, components(rhs)))
+    return state.rates(contact, turn, jnp.zeros(0, turn.dtype))
+
+
+@pytest.mark.parametrize(
+    "name", ["rolling-disc", "rattleback", "implicit-ball", "no-load"]
+)
+def test_a_scene_without_effects_is_the_core_alone(name):
+    """Equation by equation: what a scene does not name leaves nothing behind."""
+    scene, start = scenes()[name]
+    bare = traced(core, scene, start)
+    assert str(traced(rk.rolling_derivative, scene, start)) == str(bare)
+
+
+@pytest.mark.parametrize("equations", [None, "2.5", "2.3", "2.9"])
+def test_no_formulation_asks_for_an_effect_that_is_not_there(equations, monkeypatch):
+    """Every door to a moving base and to supported parts is locked."""
+
+    def locked(*args, **kwargs):
+        raise AssertionError("an effect that the scene does not name was computed")
+
+    scene, start = problems.rattleback()
+    for name in ("to_fixed", "to_base", "placed", "velocity_at", "acceleration_at"):
+        assert callable(getattr(BaseKinematics, name))
+        monkeypatch.setattr(BaseKinematics, name, locked)
+    for room in (rolling, quasi_energy):
+        monkeypatch.setattr(room, "total", locked)
+    if equations is None:
+        derivative = rk.rolling_derivative
+    else:
+        derivative = lambda *a: rk.euler_lagrange_derivative(*a, equations=equations)
+    assert traced(derivative, scene, start).eqns
+
+
+def test_an_effect_costs_only_itself(counts):
+    """A base that turns steadily is cheaper than one that turns as it likes; a base
+    that only translates adds no rotation; all are dearer than none."""
+    still = counts["at-rest"]
+    assert still < counts["translation"] < counts["rotation"]
+    assert still < counts["spin"] < counts["rotation"]
+    assert still < counts["slider"] < counts["supported-body"]
 
 
 def test_a_second_call_compiles_nothing(caplog):
