@@ -1,8 +1,6 @@
 # Each target sets up what it needs: a virtual environment in .venv, from python3.
 PYTHON ?= python3
 BIN := .venv/bin
-# the bench needs the XLA setting that the command line sets for itself (docs/speed.md)
-FAST_XLA := --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=16384
 
 .PHONY: demo test test-all lint format bench docs clean
 
@@ -28,6 +26,7 @@ format: .venv/.dev
 
 bench: .venv/.installed
 	$(BIN)/python benchmarks/single.py --out benchmarks/results
+	$(BIN)/python benchmarks/effects.py --out benchmarks/results
 
 docs: .venv/.docs
 	$(BIN)/mkdocs build --strict

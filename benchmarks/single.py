@@ -21,7 +21,7 @@ from pathlib import Path
 from peers import c_dopri5, scipy_dop853
 from peers.problems import PROBLEMS, end_error
 
-SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=16384"
+SETTING = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536"
 TARGETS = (1e-8, 1e-10)
 TOLERANCES = tuple(10.0**-k for k in (7, 8, 9, 10, 11, 12))
 ARRAY_TOLERANCES = (1e-8, 1e-9, 1e-10, 1e-11)

@@ -18,7 +18,7 @@ import click
 from . import __version__
 
 _EXTRA_OPTIONS = "xla_backend_extra_options"
-_FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=16384"
+_FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=65536"
 _BAD_INPUT, _STOPPED_EARLY = 2, 3
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0

@@ -8,6 +8,7 @@ charts (theory, section 6); in principal ones they are the formulas of [A] term 
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .checks import refuse
@@ -94,11 +95,8 @@ class PaperQuantities(eqx.Module):
             (4, 3, 4): -r_2,
             (5, 3, 4): p_1 + q_2 - 1.0,
         }
-        symbols = jnp.zeros((5, 5, 5), self.R.dtype)
-        for (r, t, k), value in upper.items():
-            symbols = symbols.at[r - 1, t - 1, k - 1].set(value)
-            symbols = symbols.at[r - 1, k - 1, t - 1].set(-value)
-        return symbols
+        lower = {(r, k, t): -value for (r, t, k), value in upper.items()}
+        return _filled((5, 5, 5), upper | lower)
 
     @property
     def epsilon(self) -> Float[Array, "5 5"]:
@@ -123,10 +121,18 @@ class PaperQuantities(eqx.Module):
             (5, 3): -q_3,
             (5, 4): p_3,
         }
-        symbols = jnp.zeros((5, 5), self.R.dtype)
-        for (r, k), value in values.items():
-            symbols = symbols.at[r - 1, k - 1].set(value)
-        return symbols
+        return _filled((5, 5), values)
+
+
+def _filled(
+    shape: tuple[int, ...], values: dict[tuple[int, ...], Float[Array, ""]]
+) -> Array:
+    """An array of few entries, counted from 1. Stacked: a scatter is a slow loop."""
+    zero = jnp.zeros_like(next(iter(values.values())))
+    entries = [
+        values.get(tuple(i + 1 for i in index), zero) for index in np.ndindex(shape)
+    ]
+    return jnp.stack(entries).reshape(shape)
 
 
 def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQuantities:

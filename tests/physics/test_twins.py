@@ -15,9 +15,8 @@ from rollkane.quasi_energy import (
     kinetic_energy_with_slip,
     place_of,
 )
-from rollkane.small_linear import cross
-from rollkane.voronets import charts_of
 
+from ..by_definition import defined_symbols
 from ..random_scenes import PAIRS, stacked
 
 SEEDS = 9  # times 3 pairs times 2 signs: 54 scenes; 90 with the slow ones
@@ -67,46 +66,6 @@ def test_formulations_agree(case):
     assert np.isfinite(rolling).all()
     for name, twin in zip(EQUATIONS, twins, strict=True):
         assert (np.abs(twin - rolling) < AGREE * size).all(), name
-
-
-def quasi_velocities(scene, t, x, x_dot, sign):
-    """U^1 .. U^5 of any velocities, by differentiating the pose alone."""
-
-    def pose(x, t):
-        body, base = scene.body.surface, scene.base.surface
-        shell, ground, _, to_base = charts_of(body, base, x[:2], x[2:4], x[4], sign)
-        base_now = scene.base.motion.at(t)
-        R = base_now.rotation @ to_base
-        origin = base_now.placed(ground.position) - R @ shell.position
-        return origin, R, R @ shell.frame, R @ shell.position, ground.position
-
-    one = jnp.ones_like(t)
-    (_, R, E, arm, point), (v_O, R_dot, *_) = jax.jvp(pose, (x, t), (x_dot, one))
-    S = R_dot @ R.T
-    w = jnp.stack([S[2, 1], S[0, 2], S[1, 0]])
-    fixed = lambda t: scene.base.motion.at(t).placed(point)
-    slip = v_O + cross(w, arm) - jax.jvp(fixed, (t,), (one,))[1]
-    return jnp.concatenate([(E.T @ slip)[:2], E.T @ w])
-
-
-def defined_symbols(scene, t, state):
-    """Gamma and epsilon from their definition (theory, section 4), by autodiff."""
-    x = jnp.concatenate(
-        [state.contact_on_body, state.contact_on_base, state.angle[None]]
-    )
-
-    def affine(x, t):
-        still = jnp.zeros(5)
-        of = lambda x_dot: quasi_velocities(scene, t, x, x_dot, state.sign)
-        return jax.jacfwd(of)(still), of(still)
-
-    A, A_0 = affine(x, t)
-    (dA, dA_0), (A_t, _) = jax.jacfwd(affine)(x, t), jax.jacfwd(affine, 1)(x, t)
-    B = jnp.linalg.inv(A)
-    curl = dA - jnp.swapaxes(dA, 1, 2)  # [r, i, j]: d_j A^r_i - d_i A^r_j
-    Gamma = jnp.einsum("rij,jt,ik->rtk", curl, B, B)
-    epsilon = (jnp.einsum("rij,j->ri", curl, -B @ A_0) + A_t - dA_0) @ B
-    return Gamma, epsilon
 
 
 def test_symbols_equal_their_definition(case):

@@ -90,7 +90,7 @@ def test_jax_is_set_up_before_it_starts():
         "import jax\n"
         "print(jax.numpy.ones(1).dtype, os.environ['XLA_FLAGS'])\n"
     )
-    assert out == f"float64 --xla_cpu_enable_fast_math=false {OURS}16384\n"
+    assert out == f"float64 --xla_cpu_enable_fast_math=false {OURS}65536\n"
 
 
 def test_flags_of_the_user_stay(monkeypatch):
