@@ -27,6 +27,7 @@ format: .venv/.dev
 bench: .venv/.installed
 	$(BIN)/python benchmarks/single.py --out benchmarks/results
 	$(BIN)/python benchmarks/effects.py --out benchmarks/results
+	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 
 docs: .venv/.docs
 	$(BIN)/mkdocs build --strict

@@ -205,7 +205,8 @@ def draw(rows, path):
         panel.set_axisbelow(True)
     panels[0].set_yticks(range(len(names)), names)
     panels[0].invert_yaxis()
-    panels[1].legend(fontsize=8, loc="lower right")
+    handles, labels = panels[1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=9)
     figure.savefig(path, dpi=120)
 
 

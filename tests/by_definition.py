@@ -1,4 +1,4 @@
-"""Quasi-velocities and their symbols from their definitions, by differentiating the pose.
+"""Quasi-velocities and their symbols by definition: from the pose alone.
 
 Nothing of the constraint equations is used: what is derived from them is held against
 this.

@@ -115,7 +115,7 @@ def kinematics(scene, state):
 
 
 def literal_symbols(paper_values):
-    """Gamma and epsilon with (2.2) followed to the letter: s = 1, 2 where 5 is meant."""
+    """Gamma and epsilon with (2.2) to the letter: s = 1, 2 where 5 is meant."""
     Gamma, epsilon = paper_values.Gamma, paper_values.epsilon
     p, q = paper_values.p, paper_values.q
     for s in (0, 1):

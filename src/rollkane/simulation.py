@@ -192,6 +192,8 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         controller, dt0 = ReplaySteps(replay), None
     elif plan.controller is not None:
         controller = plan.controller
+        if isinstance(controller, dfx.StepTo):
+            dt0 = None  # it has its own first step, and refuses another
     else:
         resolution = 10 * jnp.finfo(times.dtype).eps
         dtmin = resolution * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
