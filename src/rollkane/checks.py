@@ -42,7 +42,8 @@ def _shown(value: Any) -> str:
         return f"a traced {value.dtype}{list(value.shape)}"
     if isinstance(value, (np.ndarray, jax.Array)):
         value = np.asarray(value).tolist()
-    text = repr(value)
+    name = getattr(value, "__name__", None)
+    text = f"the function {name}" if callable(value) and name else repr(value)
     return text if len(text) <= 200 else text[:197] + "..."
 
 

@@ -37,6 +37,17 @@ _VARIABLES = {
     "friction_ratio": ((), "friction coefficient that rolling needs", "1", ""),
     "energy": ((), "kinetic plus potential energy", "J", ""),
 }
+_MOVING = {
+    "base_position": (_AXIS, "base origin", "m", "fixed"),
+    "base_rotation": (
+        ("axis", "base_axis"),
+        "rotation matrix, base to fixed axes",
+        "1",
+        "base to fixed",
+    ),
+    "moving_energy": ((), "energy less v_Oc . P and w_c . J", "J", ""),
+}
+_WORK = {"power": ((), "rate at which energy is given to the system", "W", "")}
 _SUPPORTED = {
     "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
     "alpha_dot": (("coordinate",), "their rates", "", ""),
@@ -52,12 +63,13 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     Returns:
         Variables over ``time`` [s]: ``position``, ``orientation``,
         ``angular_velocity``, ``contact_on_body``, ``contact_on_base``,
-        ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy`` and, where
-        something is supported, ``alpha`` and ``alpha_dot``; vectors over ``axis``
-        (x, y, z) or ``quaternion`` (w, x, y, z). How the run ended is in the
-        attributes. A batch has ``lane`` in front (``lane_0``, ``lane_1``, ... if there
-        are several batch axes), and how each lane ended are variables over it. What
-        was not reached is NaN.
+        ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
+        something is supported ``alpha``, ``alpha_dot`` and ``power``; where the base
+        moves ``base_position``, ``base_rotation``, ``moving_energy`` and ``power``.
+        Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
+        ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
+        ``lane_1``, ... if there are several batch axes), and how each lane ended are
+        variables over it. What was not reached is NaN.
 
     Raises:
         ImportError: xarray is not installed.
@@ -70,6 +82,11 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     shared = bool(np.all((time == first) | (np.isnan(time) & np.isnan(first))))
     along = "time" if shared else "sample"
     described = dict(_VARIABLES)
+    moving = trajectory.scene.base.motion is not None
+    if moving:
+        described |= _MOVING
+    if moving or trajectory.scene.supported:
+        described |= _WORK
     if trajectory.state.alpha.shape[-1]:
         described |= _SUPPORTED
     values = _values(trajectory, tuple(described))
@@ -89,8 +106,11 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     attributes: dict[str, Any] = {
         "title": "motion of a rigid body that rolls without slipping",
         "rollkane_version": __version__,
-        "axes_note": "right-handed; base axes coincide with the fixed axes",
+        "axes_note": "right-handed; base axes "
+        + ("by base_rotation" if moving else "coincide with the fixed axes"),
     }
+    if moving:
+        coordinates["base_axis"] = ("base_axis", ["x", "y", "z"])
     ends = _ends(trajectory)
     if lanes:
         variables |= {name: (lanes, value) for name, value in ends.items()}

@@ -18,6 +18,7 @@ def draw_path(
     motion: History,
     base: AbstractSurface | None = None,
     colorbar: bool = True,
+    in_space: bool = False,
 ) -> None:
     """Draw the contact's path seen from above into a panel, coloured by time.
 
@@ -26,15 +27,17 @@ def draw_path(
         motion: The motion; what it did not reach is left out.
         base: Surface whose height lines are drawn below the path; None for none.
         colorbar: Whether a scale of times is put beside the panel.
+        in_space: Whether the path is that in fixed axes, not that on a moving base.
     """
     from matplotlib.collections import LineCollection
 
     kept = motion.rows(motion.reached)
-    spread = _spread(kept.contact_on_base[:, :2])
+    path = (kept.contact if in_space else kept.contact_on_base)[:, :2]
+    spread = _spread(path)
     factor, unit = _length_unit(spread)
-    x, y = factor * kept.contact_on_base[:, 0], factor * kept.contact_on_base[:, 1]
+    x, y = factor * path.T
     lines = LineCollection(_pieces(x, y), cmap="viridis", zorder=2)
-    lines.set_linewidth(_width(kept.contact_on_base))
+    lines.set_linewidth(_width(path))
     lines.set_array(0.5 * (kept.time[1:] + kept.time[:-1]))
     lines.set_capstyle("round")
     panel.add_collection(lines, autolim=False)
@@ -45,8 +48,9 @@ def draw_path(
     if isinstance(base, HEIGHTS) and not isinstance(base, Plane):
         _draw_heights(panel, base, factor)
     _mark_ends(panel, x, y)
-    panel.set_xlabel(f"x [{unit}]")
-    panel.set_ylabel(f"y [{unit}]")
+    whose = " of the base" if motion.base_moves and not in_space else ""
+    panel.set_xlabel(f"x{whose} [{unit}]")
+    panel.set_ylabel(f"y{whose} [{unit}]")
     dress(panel)
     if colorbar and kept.time.size > 1:
         _time_scale(panel, lines)
@@ -67,11 +71,11 @@ def draw_path_in_space(panel, motion: History, base: AbstractSurface, size: floa
     if not kept.time.size:
         panel.set_axis_off()
         return
-    mesh = surface_mesh(base, kept.contact_on_base, kept.outward, size, (49, 25))
+    mesh = surface_mesh(base, kept.contact_on_base, kept.base_outward, size, (49, 25))
     shown = mesh.points if mesh.triangles.size else kept.contact_on_base
     factor, unit = _length_unit(_spread(shown))
     panel.computed_zorder = False  # the path is never washed out by the surface
-    facing = _turn_towards(panel, kept.outward)
+    facing = _turn_towards(panel, kept.base_outward)
     if mesh.triangles.size:
         panel.plot_trisurf(
             *(factor * mesh.points.T),
@@ -92,8 +96,9 @@ def draw_path_in_space(panel, motion: History, base: AbstractSurface, size: floa
     panel.add_collection3d(lines, autolim=False)
     _mark_ends(panel, *columns)
     panel.set_aspect("equal")
+    whose = " of the base" if motion.base_moves else ""
     for name in "xyz":
-        getattr(panel, f"set_{name}label")(f"{name} [{unit}]", color=INK)
+        getattr(panel, f"set_{name}label")(f"{name}{whose} [{unit}]", color=INK)
         axis = getattr(panel, f"{name}axis")
         axis.set_pane_color((0.97, 0.975, 0.985, 1.0))
         axis.line.set_color(FAINT)

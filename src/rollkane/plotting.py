@@ -25,7 +25,7 @@ from .plot_style import (
     new_figure,
     png,
 )
-from .surfaces import Cone, Cylinder, DiscEdge, Revolution, Torus
+from .surfaces import AbstractSurface, Cone, Cylinder, DiscEdge, Revolution, Torus
 from .trajectory import Trajectory
 from .whole_file import write_whole
 
@@ -33,17 +33,21 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_FACES_UP = 0.5  # least z of the base's normals in a picture from above [1]
+_INDEX = "₁₂₃₄₅₆₇₈₉₀"
 _ROUND_BODIES = (Cone, Cylinder, DiscEdge, Revolution, Torus)
 
 
 def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
-    """Spin, tilt, energy error and normal force against time, one above the other.
+    """Spin, tilt, energy, normal force and what is carried, against time.
 
     Spin is the angular velocity along the base's outward normal at the contact
     [rad/s]. Tilt is the angle between that normal and an axis of the body [deg]: the
     axis of symmetry of a round body, else the one that was nearest to the normal at
-    the start. Energy error is ``|E - E0| / |E0|`` [1], normal force in [N], shaded
-    where the contact would have to pull.
+    the start. The energy is shown by its error ``|E - E0| / |E0|`` [1] (on a steady
+    turntable that of the moving energy); where the base or forces inside do work, as it
+    is [J]. The normal force [N] is shaded where the contact would have to pull. Where
+    something is carried, its coordinates alpha come last.
 
     Args:
         trajectory: One run, not a batch; what it did not reach is left blank.
@@ -56,13 +60,16 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
         ImportError: matplotlib is not installed.
         FieldError: a batch.
     """
-    figure = new_figure((8.0, 8.0))
-    axes = figure.subplots(4, 1, sharex=True)
     motion = history(trajectory)
+    panels = 4 + bool(motion.alpha.shape[1])
+    figure = new_figure((8.0, 2.0 * panels))
+    axes = figure.subplots(panels, 1, sharex=True)
     _draw_spin(axes[0], motion)
     _draw_tilt(axes[1], motion, isinstance(_body(trajectory), _ROUND_BODIES))
     _draw_energy(axes[2], motion)
     _draw_normal_force(axes[3], motion, trajectory)
+    if panels > 4:
+        _draw_alpha(axes[4], motion)
     for panel in axes:
         dress(panel)
     axes[-1].set_xlabel("time [s]")
@@ -75,8 +82,9 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
 def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
     """Path of the contact point on the base, coloured by time.
 
-    Seen from above (x and y of the base's axes, equal scales) on a plane, a graph or
-    a cone; in space on any other base.
+    Seen from above (x and y, equal scales) where the base faces upwards all along the
+    path; in space on any other. Beside the path on a base that moves stands that in
+    fixed axes.
 
     Args:
         trajectory: One run, not a batch.
@@ -92,10 +100,9 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
     figure = new_figure((7.0, 6.0))
     motion = history(trajectory)
     base = trajectory.scene.base.surface
-    if isinstance(base, HEIGHTS):
-        figure.set_size_inches(*_shape(motion))
-        panel = figure.add_subplot()
-        draw_path(panel, motion, base)
+    upwards = motion.base_outward[motion.reached, 2]
+    if isinstance(base, HEIGHTS) or (upwards > _FACES_UP).all():
+        _from_above(figure, motion, base)
     else:
         panel = figure.add_subplot(projection="3d")
         touched = motion.contact_on_body[motion.reached]
@@ -141,9 +148,26 @@ def plot_contact_path(
     write_whole(path, png(figure_contact_path(trajectory, title)))
 
 
-def _shape(motion: History) -> tuple[float, float]:
+def _from_above(figure: "Figure", motion: History, base: AbstractSurface) -> None:
+    """The path from above; of a base that moves, on it and in fixed axes."""
+    if not motion.base_moves:
+        figure.set_size_inches(*_shape(motion.contact_on_base[motion.reached, :2]))
+        draw_path(figure.add_subplot(), motion, base)
+        return
+    shapes = [
+        _shape(path[motion.reached, :2])
+        for path in (motion.contact_on_base, motion.contact)
+    ]
+    figure.set_size_inches(12.5, max(height for _, height in shapes))
+    on_base, in_space = figure.subplots(1, 2)
+    draw_path(on_base, motion, base, colorbar=False)
+    on_base.set_title("on the base", fontsize=10, color=INK)
+    draw_path(in_space, motion, in_space=True)
+    in_space.set_title("in fixed axes", fontsize=10, color=INK)
+
+
+def _shape(path: np.ndarray) -> tuple[float, float]:
     """Width and height [in] of a picture that a path seen from above fills well."""
-    path = motion.contact_on_base[motion.reached, :2]
     wide, high = np.ptp(path, axis=0) if len(path) else (1.0, 1.0)
     ratio = high / wide if wide > 0 else 1.0
     return 7.0, 1.0 + 5.0 * float(np.clip(ratio, 0.35, 1.2))
@@ -163,10 +187,13 @@ def _head(figure: "Figure", trajectory: Trajectory, title: str) -> None:
         figure.suptitle("\n".join(lines), fontsize=12, color=INK, parse_math=False)
 
 
-def _curve(panel: "Axes", motion: History, values: np.ndarray, color: str) -> None:
+def _curve(
+    panel: "Axes", motion: History, values: np.ndarray, color: str, label: str = ""
+) -> None:
     """A line through the finite values; a lone one is shown as a point."""
     finite = np.isfinite(values)
-    panel.plot(motion.time, np.where(finite, values, np.nan), color=color, lw=1.2)
+    shown = np.where(finite, values, np.nan)
+    panel.plot(motion.time, shown, color=color, lw=1.2, label=label or None)
     if finite.sum() < 3:
         panel.plot(motion.time[finite], values[finite], "o", color=color, ms=4)
     if not finite.any():
@@ -215,7 +242,23 @@ def tilt_angle(motion: History, round_body: bool) -> tuple[np.ndarray, str]:
     return np.degrees(np.arctan2(across, sign * along[k])), "−" * (sign < 0) + "xyz"[k]
 
 
+def _draw_alpha(panel: "Axes", motion: History) -> None:
+    colors = (BLUE, RED, GREEN, BROWN, PURPLE)
+    count = motion.alpha.shape[1]
+    for k, values in enumerate(motion.alpha.T):
+        _curve(panel, motion, values, colors[k % len(colors)], f"α{_INDEX[k % 10]}")
+    panel.set_ylim(*limits(motion.alpha, 0.08, 1e-6))
+    panel.set_ylabel("carried: α")
+    if count > 1:
+        panel.legend(loc="upper right", ncols=min(count, 6), fontsize=8, frameon=False)
+
+
 def _draw_energy(panel: "Axes", motion: History) -> None:
+    if not motion.kept:
+        _curve(panel, motion, motion.energy, PURPLE)
+        panel.set_ylim(*limits(motion.energy, 0.08, 1e-12))
+        panel.set_ylabel("energy [J]")
+        return
     floor = 0.5 * motion.rounding
     error = np.maximum(motion.energy_error, floor)  # zero has no logarithm
     _curve(panel, motion, error, PURPLE)
@@ -234,7 +277,10 @@ def _draw_energy(panel: "Axes", motion: History) -> None:
         fontsize=8,
         color=INK,
     )
-    panel.set_ylabel("|E − E₀| / |E₀| [1]")
+    letter = "E" if motion.kept == "energy" else "E*"
+    panel.set_ylabel(f"|{letter} − {letter}₀| / |{letter}₀| [1]")
+    if letter == "E*":
+        panel.set_title("E*: moving energy", loc="right", fontsize=9, pad=3)
 
 
 def _draw_normal_force(panel: "Axes", motion: History, trajectory: Trajectory) -> None:

@@ -190,21 +190,10 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
         controller, dt0 = ReplaySteps(replay), None
-    elif plan.controller is not None:
-        controller = plan.controller
+    else:
+        controller = plan.controller or _landing(scene, times, rtol, atol, plan.saveat)
         if isinstance(controller, dfx.StepTo):
             dt0 = None  # it has its own first step, and refuses another
-    else:
-        resolution = 10 * jnp.finfo(times.dtype).eps
-        dtmin = resolution * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-        controller = dfx.PIDController(
-            rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False
-        )
-        motion = scene.base.motion
-        kinks = None if motion is None else motion.kinks
-        outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
-        if outputs.shape[0] > 2 or kinks is not None:
-            controller = LandOn(controller, landing_times(outputs, kinks))
     wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
     subs = [wanted, dfx.SubSaveAt(t1=True)]
     recording = replay is None and adjoint is not None and plan.adjoint is None
@@ -243,6 +232,19 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         rejected_steps=solution.stats["num_rejected_steps"],
     )
     return outcome, record[0] if recording else None
+
+
+def _landing(scene: Scene, times, rtol, atol, saveat) -> dfx.AbstractStepSizeController:
+    """Adaptive steps that end on outputs and on kinks of the base's motion."""
+    resolution = 10 * jnp.finfo(times.dtype).eps
+    dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
+    controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
+    motion = scene.base.motion
+    kinks = None if motion is None else motion.kinks
+    outputs = times if saveat is None else times[:: times.shape[0] - 1]
+    if outputs.shape[0] > 2 or kinks is not None:
+        return LandOn(controller, landing_times(outputs, kinks))
+    return controller
 
 
 def _code(result, stuck) -> Array:

@@ -29,8 +29,9 @@ def summary(trajectory: Trajectory) -> list[str]:
     Returns:
         Lines: spin about the base's normal and about the body's axis next to it
         [rad/s] before and after, when they changed sign [s], relative drift of the
-        energy [1], steps, the normal force [N] (or when the contact would first have
-        had to pull), and the friction coefficient that rolling needed [1].
+        energy that has to be kept [1] or how it changed [J], steps, the normal force
+        [N] (or when the contact would first have had to pull), and the friction
+        coefficient that rolling needed [1].
 
     Raises:
         FieldError: a batch.
@@ -41,7 +42,7 @@ def summary(trajectory: Trajectory) -> list[str]:
     if rows.size:
         motion = motion.rows(rows)
         lines += _spin_lines(trajectory, motion, rows)
-        lines.append(_line("energy drift", f"{np.nanmax(motion.energy_error):.1e}"))
+        lines.append(_energy_line(motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
     lines.append(_line("steps", f"{steps} accepted, {rejected} rejected"))
     if rows.size:
@@ -122,6 +123,17 @@ def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
             listed += " (interpolated between outputs)"
         lines.append(_line("  reversals", listed if times.size else "none"))
     return lines
+
+
+def _energy_line(motion: History) -> str:
+    """Drift of the energy that the motion has to keep; else how it changed."""
+    if not motion.kept:
+        change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
+        return _line("energy", f"{change}, by the base and forces that do work")
+    drift = f"{np.nanmax(motion.energy_error):.1e}"
+    if motion.kept == "energy":
+        return _line("energy drift", drift)
+    return _line("energy drift", f"{drift} of the moving energy E - w_c . J")
 
 
 def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:

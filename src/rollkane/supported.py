@@ -6,6 +6,7 @@ mechanics needs nothing else.
 """
 
 import abc
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -19,19 +20,21 @@ from .bodies import checked_inertia
 from .carried_functions import functions_of, moved
 from .checks import FieldError, positive
 from .small_linear import components, dot, matmul
-from .user_function import UserFunction, check_output
+from .user_function import UserFunction, check_output, check_rotation
 
 
 class Turning(eqx.Module):
     """Rotation of a carried rigid body at one instant, on BODY axes.
 
     Attributes:
+        rotation: From its own to body axes [1], shape (3, 3).
         inertia: About its own mass centre [kg m^2], shape (3, 3).
         velocity: ``w_r``, relative to the rolling body [rad/s], shape (3,).
         bias: ``w_r*`` at alpha'' = 0, relative rate of it [rad/s^2], shape (3,).
         partials: ``dw_r/dalpha'^s`` [rad per unit of alpha], each of shape (3,).
     """
 
+    rotation: Float[Array, "3 3"]
     inertia: Float[Array, "3 3"]
     velocity: Float[Array, "3"]
     bias: Float[Array, "3"]
@@ -85,6 +88,11 @@ class AbstractSupported(eqx.Module):
     def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
         """Energy of its springs [J]; None where it gives no potential."""
 
+    @property
+    @abc.abstractmethod
+    def does_work(self) -> bool:
+        """Whether it gives energy to the system or takes some, springs excepted."""
+
 
 class _Driven(AbstractSupported):
     """What both kinds share: functions of their coordinates, force and potential."""
@@ -104,6 +112,11 @@ class _Driven(AbstractSupported):
     def potential_energy(self, alpha):
         """The user's potential [J]."""
         return None if self.potential is None else self.potential(alpha)
+
+    @property
+    def does_work(self) -> bool:
+        """Whether the user gave a force."""
+        return self.force is not None
 
 
 class PointMasses(_Driven):
@@ -240,6 +253,12 @@ class SupportedBody(_Driven):
         self.count = made.count
         self.position = made.functions["position"]
         self.rotation = made.functions["rotation"]
+        check_rotation(
+            "SupportedBody.rotation",
+            self.rotation,
+            np.outer([0.0, 0.3, -1.1], 1.0 + 0.4 * np.arange(made.count)),
+            "its own axes on body axes",
+        )
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
 
@@ -314,7 +333,7 @@ class Prescribed(AbstractSupported):
         turning = own.turning
         if turning is not None:
             bias = _pushed(turning.bias, turning.partials, pushes)
-            turning = Turning(turning.inertia, turning.velocity, bias, ())
+            turning = dataclasses.replace(turning, bias=bias, partials=())
         bias = _pushed(own.bias, own.partials, pushes)
         return Carried(own.mass, own.place, own.velocity, bias, (), turning)
 
@@ -325,6 +344,11 @@ class Prescribed(AbstractSupported):
     def potential_energy(self, alpha):
         """None: what the drive stores is not counted."""
         del alpha
+
+    @property
+    def does_work(self) -> bool:
+        """True: the drive does."""
+        return True
 
 
 def _pushed(bias: Array, partials: tuple[Array, ...], accelerations: list) -> Array:
@@ -346,6 +370,7 @@ def _turning(inertia, R, R_dot, R_ddot, partials) -> Turning:
     w = components(spin(R_dot))
     products = jnp.stack([w[1] * w[2], w[2] * w[0], w[0] * w[1]])
     return Turning(
+        rotation=R,
         inertia=matmul(matmul(R, inertia), R.T),
         velocity=jnp.stack(w),
         bias=spin(R_ddot) - products,

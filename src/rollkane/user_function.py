@@ -12,6 +12,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from .checks import FieldError, is_traced
@@ -99,6 +100,11 @@ class UserFunction(eqx.Module):
         form = self._spread, self._takes_parameters, self.parameters
         return eqx.filter_closure_convert(lambda u: _call(function, *form, u), example)
 
+    @property
+    def __name__(self) -> str:
+        """Of the user's function, for errors."""
+        return getattr(self._fixed, "__name__", type(self._fixed).__name__)
+
     def __call__(self, coordinates: Array) -> Array:
         """Value at coordinates of shape (count,)."""
         function = eqx.combine(self._arrays, self._fixed)
@@ -153,3 +159,36 @@ def check_output(
     found = getattr(result, "shape", None)
     if found != shape:
         raise FieldError(field, function, f"returns shape {found}", remedy)
+
+
+def check_rotation(
+    field: str, function: Callable, arguments: np.ndarray, meaning: str
+) -> None:
+    """Refuse a function whose values are no rotations, where they are known.
+
+    Args:
+        field: Name used in the error.
+        function: Of one argument, to (3, 3).
+        arguments: Where to try it, shape (k, ...).
+        meaning: What the columns of its value are, for the remedy.
+
+    Raises:
+        FieldError: columns that are not a right-handed set of unit vectors.
+    """
+    loose = 1e-6 if jnp.result_type(float) == jnp.float64 else 1e-3
+    matrices = jax.vmap(function)(jnp.asarray(arguments))
+    if is_traced(matrices):
+        return
+    for at, A in zip(arguments, np.asarray(matrices, float), strict=True):
+        # a function may be unknown outside its own domain
+        if np.isfinite(A).all() and (
+            np.abs(A.T @ A - np.eye(3)).max() > loose or np.linalg.det(A) < 0
+        ):
+            where = ", ".join(f"{x:g}" for x in np.atleast_1d(at))
+            raise FieldError(
+                field,
+                function,
+                f"is not a rotation at {where}, where it gives {A.tolist()}",
+                f"let its columns be unit vectors at right angles, right-handed: "
+                f"{meaning}",
+            )

@@ -30,10 +30,10 @@ def write_view(
 ) -> None:
     """Write a trajectory as a self-contained page with a moving three-dimensional view.
 
-    The page shows the body and its base, the contact point with its traces on both,
-    and (by a switch) the contact force; it has a slider, a clock and a camera that
-    can follow. ``#frame=N`` behind its name shows frame N at rest. It opens from
-    disk and in sandboxed frames, and fetches nothing.
+    The page shows the body and its base as they move, the masses that it carries, the
+    contact point with its traces on both, and (by a switch) the contact force; it has
+    a slider, a clock and a camera that can follow. ``#frame=N`` behind its name shows
+    frame N at rest. It opens from disk and in sandboxed frames, and fetches nothing.
 
     Args:
         trajectory: One run, not a batch. Of more than 2000 outputs, 2000 are kept.
@@ -78,12 +78,14 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
 
     Returns:
         ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
-        its origin [m]), ``force`` (a usual contact force [N]), ``frames`` (columns of
-        :class:`History`, with ``energy`` as the relative error), ``body`` and ``base``
-        (meshes; ``{"plane": True}`` for a plane, None for a surface whose chart has no
-        point). Arrays are written as ``type``, ``unit``, ``shape`` and ``data``
-        (base64, little endian, in that unit); ``points`` of a mesh are shares of the
-        box from ``low`` to ``high`` [m].
+        its origin [m]), ``force`` (a usual contact force [N]), ``carried`` (masses of
+        the carried points [kg]), ``energy_label`` (what the energy column is, and its
+        unit), ``frames`` (columns of :class:`History`; ``energy`` is the relative error
+        where an energy is kept; those of the base only where it moves), ``body`` and
+        ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
+        chart has no point). Arrays are written as ``type``, ``unit``, ``shape`` and
+        ``data`` (base64, little endian, in that unit); ``points`` of a mesh are shares
+        of the box from ``low`` to ``high`` [m].
 
     Raises:
         FieldError: a batch, or a run of which no state is finite.
@@ -113,6 +115,10 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
         "note": note,
         "size": size,
         "force": float(np.nanmedian(forces)) if np.isfinite(forces).any() else 1.0,
+        "carried": motion.masses.tolist(),
+        "energy_label": [f"{motion.kept} error", ""]
+        if motion.kept
+        else ["energy", "J"],
         "frames": _frames(motion),
         "body": _mesh_data(body),
         "base": _base_data(trajectory, motion, size),
@@ -124,12 +130,22 @@ def _frames(motion: History) -> dict:
     count = len(motion.time)
     kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
     thin = motion.rows(kept)
-    columns = {name: thin._asdict()[name] for name in History._fields[:-1]}
-    columns["energy"] = motion.energy_error[kept]
-    packed = {name: _packed(column, "float32") for name, column in columns.items()}
+    columns = thin.columns
+    columns["energy"] = motion.energy_error[kept] if motion.kept else thin.energy
+    left_out = {"moving_energy", "alpha"}
+    if not motion.masses.size:
+        left_out |= {"carried"}
+    if not motion.base_moves:
+        left_out |= {name for name in columns if name.startswith("base_")}
+    packed = {
+        name: _packed(column, "float32")
+        for name, column in columns.items()
+        if name not in left_out
+    }
     packed["time"] = _packed(thin.time, "float64")
-    for name in ("outward", "body_outward"):  # only lift the traces off the surfaces
-        packed[name] = _packed(columns[name], "int16", 1 / 32767)
+    for name in ("outward", "base_outward", "body_outward"):
+        if name in packed:  # they only lift the traces off the surfaces
+            packed[name] = _packed(columns[name], "int16", 1 / 32767)
     return packed
 
 
@@ -147,7 +163,7 @@ def _base_data(trajectory: Trajectory, motion: History, size: float) -> dict | N
         return {"plane": True}
     extent = np.max(np.ptp(motion.contact_on_base, axis=0), initial=0.0)
     margin = 1.3 * size + 0.1 * float(extent)
-    mesh = surface_mesh(surface, motion.contact_on_base, motion.outward, margin)
+    mesh = surface_mesh(surface, motion.contact_on_base, motion.base_outward, margin)
     return _mesh_data(mesh)
 
 

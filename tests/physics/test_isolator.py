@@ -1,5 +1,7 @@
-"""An isolator on a recorded earthquake: the method's order, and what it costs not to say
-where the record bends (all of it is drawn by ``benchmarks/isolator.py``)."""
+"""An isolator on a recorded earthquake: its order, told where the record bends or not.
+
+``benchmarks/isolator.py`` draws all of it.
+"""
 
 import diffrax
 import equinox as eqx

@@ -32,6 +32,11 @@ rollkane.quaternions = {
     const share = angle > 1e-12 ? Math.sin(angle / 2) / angle : 0.5;
     return [Math.cos(angle / 2), ...v.map((x) => x * share)];
   },
+  // a vector on turned axes, on the axes from which they were turned
+  rotate: (q, v) => {
+    const { product, inverse } = rollkane.quaternions;
+    return product(product(q, [0, ...v]), inverse(q)).slice(1);
+  },
   // the inverse of turn, by the shorter way
   vector: ([a, b, c, d]) => {
     const sign = a < 0 ? -1 : 1;
@@ -83,9 +88,9 @@ rollkane.Motion = class {
   }
 
   // Cubic through the positions with the velocities of both frames.
-  position({ low, high, share: s }) {
-    const [p, q] = [this.row("position", low), this.row("position", high)];
-    const [v, w] = [this.row("velocity", low), this.row("velocity", high)];
+  place(position, velocity, { low, high, share: s }) {
+    const [p, q] = [this.row(position, low), this.row(position, high)];
+    const [v, w] = [this.row(velocity, low), this.row(velocity, high)];
     const step = this.time[high] - this.time[low];
     return p.map(
       (x, i) =>
@@ -95,22 +100,45 @@ rollkane.Motion = class {
     );
   }
 
-  // Turn with the mean angular velocity, so that bodies that turn more than once
-  // between two frames do so here, too; what is left over is spread evenly.
-  orientation({ low, high, share }) {
+  // Turn with the mean angular velocity, so that what turns more than once between two
+  // frames does so here, too; what is left over is spread evenly.
+  turned(orientation, velocity, { low, high, share }) {
     const { product, inverse, turn, vector } = rollkane.quaternions;
-    const [start, end] = [this.row("orientation", low), this.row("orientation", high)];
+    const [start, end] = [this.row(orientation, low), this.row(orientation, high)];
     const step = this.time[high] - this.time[low];
-    const spin = this.row("angular_velocity", high);
-    const mean = this.row("angular_velocity", low).map((x, i) => 0.5 * step * (x + spin[i]));
+    const spin = this.row(velocity, high);
+    const mean = this.row(velocity, low).map((x, i) => 0.5 * step * (x + spin[i]));
     const rest = vector(product(end, inverse(product(turn(mean), start))));
     const part = (v) => turn(v.map((x) => share * x));
     return product(part(rest), product(part(mean), start));
   }
 
+  get baseMoves() {
+    return "base_origin" in this.columns;
+  }
+
+  // Which column has the normals on base axes.
+  get baseNormals() {
+    return this.baseMoves ? "base_outward" : "outward";
+  }
+
+  // The columns about the base; of one at rest they are not sent.
+  base(at) {
+    if (!this.baseMoves) return { origin: [0, 0, 0], orientation: [1, 0, 0, 0] };
+    return {
+      origin: this.place("base_origin", "base_velocity", at),
+      orientation: this.turned("base_orientation", "base_angular_velocity", at),
+    };
+  }
+
   state(elapsed) {
     const at = this.locate(elapsed);
-    const state = { frame: at.low, position: this.position(at), orientation: this.orientation(at) };
+    const state = {
+      frame: at.low,
+      position: this.place("position", "velocity", at),
+      orientation: this.turned("orientation", "angular_velocity", at),
+      base: this.base(at),
+    };
     for (const name of ["time", "energy"]) state[name] = this.between(name, at)[0];
     for (const name of [
       "angular_velocity",
@@ -122,6 +150,8 @@ rollkane.Motion = class {
     ]) {
       state[name] = this.between(name, at);
     }
+    state.base_outward = this.between(this.baseNormals, at);
+    state.carried = "carried" in this.columns ? this.between("carried", at) : [];
     const along = (v) => v.reduce((sum, x, i) => sum + x * state.outward[i], 0);
     state.spin = along(state.angular_velocity);
     state.normalForce = along(state.contact_force);

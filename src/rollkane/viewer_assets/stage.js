@@ -12,6 +12,7 @@ rollkane.colors = {
   bodyTrace: "#6a1f8a",
   contact: "#d11f2f",
   force: "#1d8a5f",
+  carried: "#5b2d8e",
   pull: "#b3261e",
 };
 
@@ -153,6 +154,26 @@ rollkane.ground = (center, radius, spacing) => {
   return ground;
 };
 
+// Which part of a plane base is drawn: all of the picture, or, where the base moves, the
+// contact's path on it and a good part around.
+rollkane.reached = (motion, box) => {
+  if (!motion.baseMoves) return { center: box.center, radius: 3.2 * box.radius };
+  const low = [Infinity, Infinity];
+  const high = [-Infinity, -Infinity];
+  for (let k = 0; k < motion.count; k += 1) {
+    const point = motion.row("contact_on_base", k);
+    for (const i of [0, 1]) {
+      low[i] = Math.min(low[i], point[i]);
+      high[i] = Math.max(high[i], point[i]);
+    }
+  }
+  const half = low.map((x, i) => 0.5 * (high[i] - x));
+  return {
+    center: low.map((x, i) => x + half[i]),
+    radius: 1.5 * Math.hypot(...half) + 0.8 * box.radius,
+  };
+};
+
 // A path that can be shown up to a frame and a point beyond it.
 rollkane.Trace = class {
   constructor(points, color) {
@@ -237,29 +258,33 @@ rollkane.Stage = class {
     this.scene = new THREE.Scene();
     this.lights(box.eye);
     this.body = new THREE.Group();
-    if (data.body) this.body.add(this.shell(data.body));
+    if (data.body) this.body.add(this.shell(data.body, data.carried.length > 0));
+    this.carried = this.masses(data.carried);
+    this.body.add(...this.carried);
+    this.base = new THREE.Group();
     this.spacing = 0;
     if (data.base && data.base.plane) {
       this.spacing = rollkane.roundLength(0.15 * box.radius);
-      this.scene.add(rollkane.ground(box.center, 3.2 * box.radius, this.spacing));
+      const { center, radius } = rollkane.reached(motion, box);
+      this.base.add(rollkane.ground(center, radius, this.spacing));
     } else if (data.base) {
       const geometry = rollkane.geometry(data.base);
-      this.scene.add(rollkane.cutaway(geometry, rollkane.lattice(data.base.cells)));
+      this.base.add(rollkane.cutaway(geometry, rollkane.lattice(data.base.cells)));
     }
     this.onBase = new rollkane.Trace(
-      this.path("contact_on_base", "outward"), colors.baseTrace);
+      this.path("contact_on_base", motion.baseNormals), colors.baseTrace);
     this.onBody = new rollkane.Trace(
       this.path("contact_on_body", "body_outward"), colors.bodyTrace);
     this.body.add(this.onBody.group);
     this.contact = this.marker();
     // a usual force reaches beyond the body: twice its arm, and some more
-    const arms = [...Array(motion.count).keys()].map((k) => {
-      const contact = motion.row("contact_on_base", k);
-      return Math.hypot(...motion.row("position", k).map((x, i) => x - contact[i]));
-    });
+    const arms = [...Array(motion.count).keys()].map((k) =>
+      Math.hypot(...motion.row("contact_on_body", k)),
+    );
     this.reach = 2 * (arms.reduce((sum, x) => sum + x, 0) / motion.count) + 0.4 * data.size;
     this.arrow = new rollkane.Arrow(0.5 * this.reach);
-    this.scene.add(this.body, this.onBase.group, this.contact, this.arrow.group);
+    this.base.add(this.onBase.group, this.contact);
+    this.scene.add(this.body, this.base, this.arrow.group);
   }
 
   lights(eye) {
@@ -279,7 +304,8 @@ rollkane.Stage = class {
     this.sunward = new THREE.Vector3(0.5 * x + 0.8 * y, 0.5 * y - 0.8 * x, 1.5).setLength(9);
   }
 
-  shell(mesh) {
+  // The body; one that carries something is seen through.
+  shell(mesh, seenThrough) {
     const geometry = rollkane.geometry(mesh);
     const texture = rollkane.checker(mesh.cells);
     const shell = mesh.hollow
@@ -290,10 +316,27 @@ rollkane.Stage = class {
             map: texture,
             roughness: 0.5,
             side: THREE.DoubleSide,
+            transparent: seenThrough,
+            opacity: seenThrough ? 0.45 : 1,
+            depthWrite: !seenThrough,
           }),
         );
     shell.traverse((part) => { part.castShadow = true; });
     return shell;
+  }
+
+  // A ball for each carried mass, of its volume's share.
+  masses(weights) {
+    const most = Math.max(...weights, 1e-300);
+    return weights.map((weight) => {
+      const radius = 0.1 * this.size * Math.cbrt(weight / most);
+      const ball = new THREE.Mesh(
+        new THREE.SphereGeometry(radius, 24, 16),
+        new THREE.MeshStandardMaterial({ color: rollkane.colors.carried, roughness: 0.4 }),
+      );
+      ball.castShadow = true;
+      return ball;
+    });
   }
 
   marker() {
@@ -328,15 +371,22 @@ rollkane.Stage = class {
     const [w, x, y, z] = state.orientation;
     this.body.position.set(...state.position);
     this.body.quaternion.set(x, y, z, w);
+    const [bw, bx, by, bz] = state.base.orientation;
+    this.base.position.set(...state.base.origin);
+    this.base.quaternion.set(bx, by, bz, bw);
+    this.carried.forEach((ball, k) =>
+      ball.position.set(...state.carried.slice(3 * k, 3 * k + 3)));
     this.contact.position.set(...state.contact_on_base);
-    this.onBase.show(state.frame, this.lifted(state.contact_on_base, state.outward));
+    this.onBase.show(state.frame, this.lifted(state.contact_on_base, state.base_outward));
     this.onBody.show(state.frame, this.lifted(state.contact_on_body, state.body_outward));
     const scale = this.reach / this.usualForce;
     const longest = 3 * this.reach;
     const length = scale * Math.hypot(...state.contact_force);
     const cut = length > longest ? longest / length : 1;
+    const contact = new THREE.Vector3(...state.contact_on_base);
+    contact.applyQuaternion(this.base.quaternion).add(this.base.position);
     this.arrow.point(
-      state.contact_on_base,
+      contact.toArray(),
       state.contact_force.map((f) => cut * scale * f),
       state.normalForce < 0,
     );

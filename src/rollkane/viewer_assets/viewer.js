@@ -141,6 +141,7 @@ rollkane.run = () => {
   const { element } = rollkane;
   const data = JSON.parse(element("rollkane-data").textContent);
   element("note").textContent = data.note;
+  [element("energy-label").textContent, element("energy-unit").textContent] = data.energy_label;
   const renderer = rollkane.renderer();
   if (!renderer) {
     element("note").textContent = "This browser cannot draw in three dimensions (WebGL).";
@@ -261,7 +262,9 @@ rollkane.write = (state) => {
   element("normal-force").textContent = fixed(state.normalForce, 3);
   element("normal-force").className = state.normalForce < 0 ? "pulls" : "";
   const { energy } = state;
-  element("energy-error").textContent = energy === 0 ? "0" : scientific(energy);
+  const error = element("energy-unit").textContent === "";
+  const shown = error ? scientific(energy) : Number(energy.toPrecision(5)).toString();
+  element("energy").textContent = energy === 0 ? "0" : shown;
 };
 
 // Speeds round the one with which the motion is neither a flash nor a day.

@@ -1,0 +1,245 @@
+"""Moving bases, records and carried parts: what is refused, and in which words."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.checks import FieldError
+from rollkane.steps import landing_times
+from tests import paper
+
+UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+BODY = rk.Body(1.0, 0.01 * np.eye(3), rk.Sphere(0.1))
+SLIDE = lambda a: a[0] * jnp.ones((1, 3))
+RECORD = rk.RecordedMotion(0.01 * np.arange(101), np.zeros(101))
+
+
+def started(scene=None):
+    scene = rk.Scene(BODY) if scene is None else scene
+    rest = np.zeros(scene.coordinate_count)
+    return rk.place(scene, UP, STILL, STILL, alpha=rest, alpha_dot=rest)
+
+
+REFUSED = {
+    "a rotation that grows": (
+        lambda: rk.BaseMotion(rotation=lambda t: (1.0 + t) * jnp.eye(3)),
+        "BaseMotion.rotation: is not a rotation at 0.001",
+    ),
+    "a reflection": (
+        lambda: rk.BaseMotion(rotation=lambda t: jnp.diag(jnp.array([1.0, 1.0, -1.0]))),
+        "BaseMotion.rotation: is not a rotation",
+    ),
+    "a rotation of another shape": (
+        lambda: rk.BaseMotion(rotation=lambda t: jnp.ones(4)),
+        r"BaseMotion.rotation: returns shape \(4,\)",
+    ),
+    "no function": (
+        lambda: rk.BaseMotion(position=(0.0, 0.0, 1.0)),
+        "BaseMotion.position: must be a function",
+    ),
+    "a spin of two numbers": (
+        lambda: rk.Spin((1.0, 2.0)),
+        "Spin.rate: must have shape",
+    ),
+    "a tilt that is no rotation": (
+        lambda: rk.Spin(1.0, orientation=(1.0, 1.0, 0.0, 0.0)),
+        "Spin.orientation: must be a quaternion of unit length",
+    ),
+    "unequal steps": (
+        lambda: rk.RecordedMotion([0.0, 1.0, 2.0, 4.0], np.zeros(4)),
+        r"RecordedMotion.time: must grow by equal steps \(the step after 2 s is 2 s",
+    ),
+    "times that fall": (
+        lambda: rk.RecordedMotion([1.0, 0.5, 0.0], np.zeros(3)),
+        "RecordedMotion.time: must grow",
+    ),
+    "a gap in the times": (
+        lambda: rk.RecordedMotion([0.0, np.nan, 2.0], np.zeros(3)),
+        "RecordedMotion.time: must be finite",
+    ),
+    "a gap in the samples": (
+        lambda: rk.RecordedMotion([0.0, 1.0, 2.0], [0.0, np.nan, 1.0]),
+        "RecordedMotion.acceleration: must be finite",
+    ),
+    "too few samples": (
+        lambda: rk.RecordedMotion([0.0, 1.0, 2.0], np.zeros(2)),
+        "must hold one row for each of the 3 sample times",
+    ),
+    "four components": (
+        lambda: rk.RecordedMotion([0.0, 1.0, 2.0], np.zeros((3, 4))),
+        "of one to three components",
+    ),
+    "a base moved by a number": (
+        lambda: rk.Base(motion=3.0),
+        "Base.motion: must be a motion",
+    ),
+    "mass that is negative": (
+        lambda: rk.PointMasses((-1.0,), SLIDE),
+        "PointMasses.mass: must be positive",
+    ),
+    "places of another shape": (
+        lambda: rk.PointMasses((1.0, 2.0), SLIDE),
+        r"PointMasses.position: returns shape \(1, 3\)",
+    ),
+    "a carried body whose rotation is none": (
+        lambda: rk.SupportedBody(
+            1.0,
+            np.eye(3),
+            lambda a: a[0] * jnp.ones(3),
+            lambda a: (1.0 + a[0]) * jnp.eye(3),
+        ),
+        "SupportedBody.rotation: is not a rotation at 0.3",
+    ),
+    "a prescribed motion of two coordinates": (
+        lambda: rk.Prescribed(rk.PointMasses((1.0,), SLIDE), lambda t: jnp.zeros(2)),
+        r"Prescribed.motion: returns shape \(2,\)",
+    ),
+    "something else that is carried": (
+        lambda: rk.Scene(BODY, supported=(3.0,)),
+        r"Scene.supported\[0\]: cannot be a float",
+    ),
+    "alpha of the wrong length": (
+        lambda: rk.place(
+            rk.Scene(BODY, supported=rk.PointMasses((1.0,), SLIDE)),
+            UP,
+            STILL,
+            STILL,
+            alpha=[1.0, 2.0],
+            alpha_dot=[0.0],
+        ),
+        r"place.alpha: must have shape \(1\), not \(2,\)",
+    ),
+    "alpha that is missing": (
+        lambda: rk.place(
+            rk.Scene(BODY, supported=rk.PointMasses((1.0,), SLIDE)), UP, STILL, STILL
+        ),
+        "place.alpha: must have shape",
+    ),
+    "a start of another scene": (
+        lambda: rk.simulate(
+            rk.Scene(BODY, supported=rk.PointMasses((1.0,), SLIDE)),
+            started(),
+            (0.0, 1.0),
+        ),
+        "simulate.start.alpha: must have shape",
+    ),
+    "a coordinate that moves no mass": (
+        lambda: started(
+            rk.Scene(BODY, supported=rk.PointMasses((1.0,), lambda a: 0.0 * SLIDE(a)))
+        ),
+        "Scene.supported: makes the mass matrix singular",
+    ),
+    "times before a record": (
+        lambda: rk.simulate(
+            rk.Scene(BODY, rk.Base(motion=RECORD)), started(), (-0.5, 0.5)
+        ),
+        "simulate.times: leave the record of Base.motion, which is known from 0 to 1 s",
+    ),
+    "times behind a record": (
+        lambda: rk.simulate(
+            rk.Scene(BODY, rk.Base(motion=RECORD)), started(), (0.0, 2.0)
+        ),
+        "simulate.times: leave the record",
+    ),
+    "unknown equations": (
+        lambda: rk.euler_lagrange_derivative(
+            rk.Scene(BODY), jnp.zeros(()), started(), "2.7"
+        ),
+        "euler_lagrange_derivative.equations: is not known, got '2.7'",
+    ),
+    "a sign that is none": (
+        lambda: rk.to_voronets(rk.Scene(BODY), started(), 0.0, 2),
+        r"to_voronets.sign: must be -1 or \+1",
+    ),
+    "unknown coordinates": (
+        lambda: rk.simulate(rk.Scene(BODY), started(), (0.0, 1.0), coordinates="polar"),
+        "simulate.coordinates: is not known",
+    ),
+    "an unknown formulation": (
+        lambda: rk.simulate(
+            rk.Scene(BODY), started(), (0.0, 1.0), formulation="newton"
+        ),
+        "simulate.formulation: is not known",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_bad_input_is_refused(what):
+    make, words = REFUSED[what]
+    with pytest.raises(FieldError, match=words):
+        make()
+
+
+def test_a_chart_askew_is_refused_where_a_principal_one_is_asked_for():
+    """The ellipsoid of section 10 passes in its own lines, but not in sheared ones."""
+    scene, state = paper.scene_and_state(1)
+    contact = rk.contact_of(scene, jnp.zeros(()), state)
+    assert rk.paper_quantities(contact, principal=True).R.shape == ()
+    straight = paper.curvature_chart(paper.BODY_AXES)
+    sheared = lambda q: straight(jnp.stack([q[0] + 0.1 * q[1], q[1]]))
+    domain = ((0.95, 1.6), (0.5, 0.95))
+    body = rk.Body(1.0, np.eye(3), rk.Parametric(sheared, domain=domain))
+    askew = rk.Scene(body, scene.base, scene.supported)
+    contact = rk.contact_of(askew, jnp.zeros(()), state)
+    assert np.isfinite(rk.paper_quantities(contact).R)
+    with pytest.raises(FieldError, match="body"):
+        rk.paper_quantities(contact, principal=True)
+
+
+def test_in_a_batch_the_lane_that_leaves_its_record_fails_alone():
+    scene = rk.Scene(BODY, rk.Base(motion=RECORD))
+    start = rk.place(scene, UP, (1.0, 0.0, 0.0), STILL)
+    ends = jnp.array([0.5, 2.0])
+    lanes = jax.vmap(
+        lambda end: rk.simulate(scene, start, jnp.stack([0.0 * end, end]))
+    )(ends)
+    assert lanes.code.tolist()[0] == 0
+    assert lanes.code.tolist()[1] != 0
+    alone = rk.simulate(scene, start, (0.0, 0.5))
+    np.testing.assert_allclose(lanes.position[0], alone.position, atol=1e-12)
+
+
+def test_landings_hold_outputs_and_kinks_in_order():
+    times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([-1.0, 0.25, 1.0, 1.5, 7.0])
+    found = np.asarray(landing_times(times, kinks))
+    assert found[np.isfinite(found)].tolist() == [0.25, 1.0, 1.5, 2.0]
+    backwards = np.asarray(landing_times(-times, -kinks))
+    assert backwards[np.isfinite(backwards)].tolist() == [-0.25, -1.0, -1.5, -2.0]
+    assert landing_times(times, None).tolist() == [1.0, 2.0]
+
+
+def test_kinks_of_a_user_s_motion_are_landed_on():
+    """A base that is at rest, then moves on steadily faster."""
+
+    def place(t):
+        late = jnp.maximum(t - 0.3, 0.0)
+        return jnp.stack([0.5 * late**2, 0.0 * t, 0.0 * t])
+
+    def error(kinks):
+        motion = rk.BaseMotion(position=place, kinks=kinks)
+        scene = rk.Scene(BODY, rk.Base(motion=motion))
+        result = rk.simulate(scene, started(scene), (0.0, 1.0), rtol=1e-9)
+        # about the contact point: I / (I + m r^2) of the base's motion is taken on
+        share = 0.01 / (0.01 + 1.0 * 0.1**2)
+        return abs(float(result.position[-1, 0]) - share * 0.5 * 0.7**2), result.steps
+
+    told, few = error((0.3,))
+    _, many = error(None)  # the controller finds the kink by rejecting steps
+    # some ten steps, each wrong by rtol of positions of 0.1 m
+    assert told < 1e-9
+    assert few < many
+
+
+def test_own_steps_are_taken():
+    scene = rk.Scene(BODY)
+    start = rk.place(scene, UP, (1.0, 2.0, 3.0), STILL)
+    steps = diffrax.StepTo(jnp.linspace(0.0, 1.0, 33))
+    result = rk.simulate(scene, start, (0.0, 1.0), stepsize_controller=steps)
+    assert int(result.steps) == 32
+    plain = rk.simulate(scene, start, (0.0, 1.0), rtol=1e-12)
+    # steps of a tenth of a radian by a method of order 8
+    np.testing.assert_allclose(result.position, plain.position, atol=1e-10)
