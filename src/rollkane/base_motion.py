@@ -111,6 +111,11 @@ class AbstractBaseMotion(eqx.Module):
         return None
 
     @property
+    def jumps(self) -> bool:
+        """Whether the acceleration itself may jump at the kinks."""
+        return False
+
+    @property
     def span(self) -> tuple[Array, Array] | None:
         """First and last time [s] at which the motion is known; None for all."""
         return None
@@ -144,8 +149,9 @@ class BaseMotion(AbstractBaseMotion):
             rotation: ``rotation(t)`` or ``rotation(t, parameters)`` -> (3, 3), the
                 rotation from base axes to fixed axes [1]; left out, the axes agree.
             parameters: Tree of numbers that both depend on; differentiable.
-            kinks: Times [s] at which an acceleration or its rate jumps, shape (k,); a
-                step is ended on each.
+            kinks: Times [s] at which an acceleration or its rate jumps, shape (k,);
+                steps end before each and begin behind it. They must not depend on what
+                you differentiate by.
 
         Raises:
             FieldError: neither function, one of another shape or signature, a rotation
@@ -186,6 +192,11 @@ class BaseMotion(AbstractBaseMotion):
     def kinks(self) -> Float[Array, " k"] | None:
         """Times at which a derivative jumps [s]."""
         return self.given_kinks
+
+    @property
+    def jumps(self) -> bool:
+        """True: which derivative jumps is not known."""
+        return True
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Pose, velocity and acceleration at a time [s], by nested derivatives."""

@@ -18,7 +18,7 @@ from .euler_lagrange import euler_lagrange_derivative
 from .rolling import contact_of, rolling_derivative
 from .scene import Scene
 from .state_conversion import to_pole_free, to_voronets
-from .steps import LandOn, ReplaySteps, first_step, landing_times
+from .steps import Landings, LandOn, ReplaySteps, first_step, landings
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
@@ -189,9 +189,10 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         dt0 = jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
-        controller, dt0 = ReplaySteps(replay), None
+        controller = ReplaySteps(replay, _landings(scene, times, plan).jumps)
+        dt0 = None
     else:
-        controller = plan.controller or _landing(scene, times, rtol, atol, plan.saveat)
+        controller = plan.controller or _landing(scene, times, rtol, atol, plan)
         if isinstance(controller, dfx.StepTo):
             dt0 = None  # it has its own first step, and refuses another
     wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
@@ -234,17 +235,23 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     return outcome, record[0] if recording else None
 
 
-def _landing(scene: Scene, times, rtol, atol, saveat) -> dfx.AbstractStepSizeController:
+def _landing(
+    scene: Scene, times, rtol, atol, plan: _Plan
+) -> dfx.AbstractStepSizeController:
     """Adaptive steps that end on outputs and on kinks of the base's motion."""
     resolution = 10 * jnp.finfo(times.dtype).eps
     dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
     controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
+    where = _landings(scene, times, plan)
+    return LandOn(controller, where) if where.ends.shape[0] > 1 else controller
+
+
+def _landings(scene: Scene, times, plan: _Plan) -> Landings:
     motion = scene.base.motion
-    kinks = None if motion is None else motion.kinks
-    outputs = times if saveat is None else times[:: times.shape[0] - 1]
-    if outputs.shape[0] > 2 or kinks is not None:
-        return LandOn(controller, landing_times(outputs, kinks))
-    return controller
+    outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
+    if motion is None:
+        return landings(outputs, None)
+    return landings(outputs, motion.kinks, motion.jumps)
 
 
 def _code(result, stuck) -> Array:

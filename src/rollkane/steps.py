@@ -1,11 +1,30 @@
 """Step controllers: landing on output times, and replaying recorded steps."""
 
+from typing import NamedTuple
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .small_linear import norm
+
+
+class Landings(NamedTuple):
+    """Where steps have to end, in order, and where the next ones begin.
+
+    They differ only round a jump of the right-hand side: the last number before it, and
+    the first behind it. A stage evaluated on the jump itself would have either value.
+
+    Attributes:
+        ends: [s], shape (n,); infinite behind the last.
+        starts: [s], shape (n,).
+        jumps: Times of the jumps [s], or None.
+    """
+
+    ends: Float[Array, " n"]
+    starts: Float[Array, " n"]
+    jumps: Float[Array, " k"] | None
 
 
 class LandOn(dfx.AbstractStepSizeController):
@@ -18,15 +37,16 @@ class LandOn(dfx.AbstractStepSizeController):
 
     Attributes:
         controller: Chooses the steps.
-        times: Output times after the first [s], in the direction of integration.
+        landings: Where steps have to end.
     """
 
     controller: dfx.PIDController
-    times: Float[Array, " n"]
+    landings: Landings
 
     def wrap(self, direction):
         """The controller for the direction of time in which diffrax works."""
-        return LandOn(self.controller.wrap(direction), self.times * direction)
+        landings = jax.tree.map(lambda t: t * direction, self.landings)
+        return LandOn(self.controller.wrap(direction), landings)
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """First step, and the state: controller, next output, step wanted before."""
@@ -34,7 +54,8 @@ class LandOn(dfx.AbstractStepSizeController):
             terms, t0, t1, y0, dt0, args, func, error_order
         )
         wanted = t_next - t0
-        return self._towards(self.times[0], t0, wanted), (inner, jnp.asarray(0), wanted)
+        first = self._towards(self.landings.ends[0], t0, wanted)
+        return first, (inner, jnp.asarray(0), wanted)
 
     def _towards(self, goal, t, dt):
         left = goal - t
@@ -52,74 +73,102 @@ class LandOn(dfx.AbstractStepSizeController):
         proposed = next_t1 - next_t0
         shortened = (t1 - t0) < 0.999 * wanted
         dt = jnp.where(keep & shortened, jnp.maximum(proposed, wanted), proposed)
-        landed = keep & (t1 >= self.times[index])
-        last = self.times.shape[0] - 1
-        index = jnp.where(landed, jnp.minimum(index + 1, last), index)
-        t_end = self._towards(self.times[index], next_t0, dt)
+        ends, starts, jumps = self.landings
+        landed = keep & (t1 >= ends[index])
+        if jumps is not None:
+            next_t0 = jnp.where(landed, starts[index], next_t0)
+            jump = jump | (landed & (starts[index] > ends[index]))
+        index = jnp.where(landed, jnp.minimum(index + 1, ends.shape[0] - 1), index)
+        t_end = self._towards(ends[index], next_t0, dt)
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 
 
-def landing_times(
-    times: Float[Array, " T"], kinks: Float[Array, " k"] | None
-) -> Float[Array, " n"]:
+def landings(
+    times: Float[Array, " T"], kinks: Float[Array, " k"] | None, jump: bool = False
+) -> Landings:
     """Output times after the first, with the kinks between them, in order.
 
     Args:
         times: Output times [s], increasing or decreasing.
-        kinks: Times at which a derivative of the right-hand side jumps [s]; None: none.
+        kinks: Times at which the right-hand side has a corner [s]; None: none.
+        jump: Whether it may jump there.
 
     Returns:
-        Times for :class:`LandOn`; what is left of the kinks is infinite, at the end.
+        Where :class:`LandOn` ends its steps.
     """
     if kinks is None:
-        return times[1:]
+        return Landings(times[1:], times[1:], None)
     sign = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     outputs = times * sign
-    kinks = jax.lax.stop_gradient(kinks).astype(times.dtype) * sign
+    kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
     # closer together than this, two landings would ask for a step without length
     near = 100 * jnp.finfo(times.dtype).eps * jnp.max(jnp.abs(outputs))
-    after = jnp.clip(jnp.searchsorted(outputs, kinks), 1, outputs.shape[0] - 1)
-    gap = jnp.minimum(
-        jnp.abs(outputs[after] - kinks), jnp.abs(outputs[after - 1] - kinks)
-    )
-    between = (kinks > outputs[0]) & (kinks < outputs[-1]) & (gap > near)
-    kinks = jnp.where(between, kinks, jnp.inf)
-    landings = jnp.sort(jnp.concatenate([outputs[1:], kinks]))
-    repeated = jnp.diff(landings) <= near
-    landings = landings.at[1:].set(jnp.where(repeated, jnp.inf, landings[1:]))
-    return jnp.sort(landings) * sign
+    between = (kinks > outputs[0]) & (kinks < outputs[-1])
+    added = jnp.where(between & (_distance(kinks, outputs) > near), kinks, jnp.inf)
+    ends = jnp.sort(jnp.concatenate([outputs[1:], added]))
+    repeated = jnp.diff(ends) <= near
+    ends = jnp.sort(ends.at[1:].set(jnp.where(repeated, jnp.inf, ends[1:])))
+    if not jump:
+        return Landings(ends * sign, ends * sign, None)
+    # the run itself ends on its last time, whatever is there
+    jumps = (_distance(ends, kinks) <= near) & (ends < outputs[-1])
+    before = jnp.where(jumps, jnp.nextafter(ends, -jnp.inf), ends)
+    behind = jnp.where(jumps, jnp.nextafter(ends, jnp.inf), ends)
+    at = jnp.where(jumps, ends, jnp.inf)
+    return Landings(before * sign, behind * sign, at * sign)
+
+
+def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, " n"]:
+    """Of each number from the nearest of a grid in order."""
+    after = jnp.clip(jnp.searchsorted(grid, x), 1, max(grid.shape[0] - 1, 1))
+    nearest = jnp.minimum(jnp.abs(grid[after] - x), jnp.abs(grid[after - 1] - x))
+    return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
 
 
 class ReplaySteps(dfx.AbstractStepSizeController):
-    """Steps to recorded times, all accepted; like ``diffrax.StepTo``, but padded.
+    """Steps from recorded times, all accepted; like ``diffrax.StepTo``, but padded.
 
     Attributes:
-        times: Recorded times [s], the start first, padded with infinity.
+        times: Where recorded steps began [s], padded with infinity.
+        jumps: Times of jumps [s] before which steps end, behind which they begin; None
+            for none.
     """
 
     times: Float[Array, " n"]
+    jumps: Float[Array, " k"] | None = None
 
     def wrap(self, direction):
         """The record for the direction of time in which diffrax works."""
-        return ReplaySteps(self.times * direction)
+        return jax.tree.map(lambda t: t * direction, self)
+
+    def _end(self, index):
+        """Where the step ends whose successor is recorded; whether at a jump."""
+        start = self.times[index]
+        if self.jumps is None:
+            return start, False
+        at = jnp.nextafter(start, -jnp.inf)
+        jumped = jnp.any(at == self.jumps)
+        return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """First recorded step."""
         del terms, t0, y0, dt0, args, func, error_order
-        return jnp.minimum(self.times[1], t1), 2
+        return jnp.minimum(self._end(1)[0], t1), 1
 
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
         """Next recorded step; the run ends where its record does."""
         del t0, y0, y1_candidate, args, y_error, error_order
-        following = self.times[controller_state]
+        _, jumped = self._end(controller_state)
+        start = t1 if self.jumps is None else self.times[controller_state]
+        following, _ = self._end(controller_state + 1)
         recorded = jnp.isfinite(following)
         result = dfx.RESULTS.where(
             recorded, dfx.RESULTS.successful, dfx.RESULTS.max_steps_reached
         )
         following = jnp.where(recorded, following, t1)
-        return True, t1, following, False, controller_state + 1, result
+        return True, start, following, jumped, controller_state + 1, result
 
 
 def first_step(

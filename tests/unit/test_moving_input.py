@@ -8,7 +8,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.checks import FieldError
-from rollkane.steps import landing_times
+from rollkane.steps import landings
 from tests import paper
 
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -204,12 +204,26 @@ def test_in_a_batch_the_lane_that_leaves_its_record_fails_alone():
 
 
 def test_landings_hold_outputs_and_kinks_in_order():
-    times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([-1.0, 0.25, 1.0, 1.5, 7.0])
-    found = np.asarray(landing_times(times, kinks))
+    times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([-1.0, 1.5, 0.25, 1.0, 7.0])
+    found = np.asarray(landings(times, kinks).ends)
     assert found[np.isfinite(found)].tolist() == [0.25, 1.0, 1.5, 2.0]
-    backwards = np.asarray(landing_times(-times, -kinks))
+    backwards = np.asarray(landings(-times, -kinks).ends)
     assert backwards[np.isfinite(backwards)].tolist() == [-0.25, -1.0, -1.5, -2.0]
-    assert landing_times(times, None).tolist() == [1.0, 2.0]
+    assert landings(times, None).ends.tolist() == [1.0, 2.0]
+
+
+def test_steps_end_before_a_jump_and_begin_behind_it():
+    times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([0.25, 1.0, 2.0])
+    for sign in (1.0, -1.0):
+        ends, starts, jumps = (
+            np.asarray(x) for x in landings(sign * times, sign * kinks, jump=True)
+        )
+        known = np.isfinite(ends)
+        at = sign * np.array([0.25, 1.0, 2.0])
+        before, behind = np.nextafter(at, 0.0), np.nextafter(at, 9.0 * sign)
+        assert ends[known].tolist() == [before[0], before[1], at[2]]
+        assert starts[known].tolist() == [behind[0], behind[1], at[2]]
+        assert jumps[np.isfinite(jumps)].tolist() == [at[0], at[1]]
 
 
 def test_kinks_of_a_user_s_motion_are_landed_on():
@@ -225,13 +239,35 @@ def test_kinks_of_a_user_s_motion_are_landed_on():
         result = rk.simulate(scene, started(scene), (0.0, 1.0), rtol=1e-9)
         # about the contact point: I / (I + m r^2) of the base's motion is taken on
         share = 0.01 / (0.01 + 1.0 * 0.1**2)
-        return abs(float(result.position[-1, 0]) - share * 0.5 * 0.7**2), result.steps
+        tried = int(result.steps + result.rejected_steps)
+        return abs(float(result.position[-1, 0]) - share * 0.5 * 0.7**2), tried
 
     told, few = error((0.3,))
-    _, many = error(None)  # the controller finds the kink by rejecting steps
+    _, many = error(None)  # the controller finds the jump by rejecting steps
     # some ten steps, each wrong by rtol of positions of 0.1 m
     assert told < 1e-9
-    assert few < many
+    assert few < 20
+    assert many > 3 * few
+
+
+def test_derivatives_are_right_across_a_jump():
+    """Along the recorded steps, which end before the jump and begin behind it."""
+
+    def end(push, solver):
+        def place(t, p):
+            late = jnp.maximum(t - 0.3, 0.0)
+            return jnp.stack([0.5 * p * late**2, 0.0 * t, 0.0 * t])
+
+        motion = rk.BaseMotion(position=place, parameters=push, kinks=(0.3,))
+        scene = rk.Scene(BODY, rk.Base(motion=motion))
+        start = rk.place(scene, UP, STILL, STILL)
+        run = rk.simulate(scene, start, (0.0, 0.3, 1.0), rtol=1e-9, solver=solver)
+        return run.position[-1, 0]
+
+    for solver in (diffrax.Tsit5(), diffrax.Dopri8()):
+        # half of the base's motion; linear in the push
+        slope = jax.grad(end)(2.0, solver)
+        assert float(slope) == pytest.approx(0.25 * 0.7**2, abs=1e-9)
 
 
 def test_own_steps_are_taken():
