@@ -54,17 +54,35 @@ _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 __all__ = sorted(_ROOM_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from .accelerograms import Accelerogram as Accelerogram
+    from .accelerograms import builtin_record as builtin_record
+    from .accelerograms import read_at2 as read_at2
+    from .accelerograms import read_single_column as read_single_column
+    from .accelerograms import read_two_column as read_two_column
+    from .accelerograms import read_v2a as read_v2a
+    from .base_motion import BaseMotion as BaseMotion
+    from .base_motion import Spin as Spin
     from .bodies import Body as Body
     from .checks import FieldError as FieldError
     from .coordinates import State as State
+    from .euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative
     from .geometry import LocalGeometry as LocalGeometry
     from .loads import Gravity as Gravity
     from .placement import place as place
+    from .quasi_velocities import PaperQuantities as PaperQuantities
+    from .quasi_velocities import paper_quantities as paper_quantities
+    from .recorded_motion import RecordedMotion as RecordedMotion
+    from .rolling import contact_of as contact_of
     from .rolling import rolling_derivative as rolling_derivative
     from .scene import Base as Base
     from .scene import Rolling as Rolling
     from .scene import Scene as Scene
     from .simulation import simulate as simulate
+    from .state_conversion import to_pole_free as to_pole_free
+    from .state_conversion import to_voronets as to_voronets
+    from .supported import PointMasses as PointMasses
+    from .supported import Prescribed as Prescribed
+    from .supported import SupportedBody as SupportedBody
     from .surfaces import Cone as Cone
     from .surfaces import Cylinder as Cylinder
     from .surfaces import DiscEdge as DiscEdge
@@ -78,6 +96,7 @@ if TYPE_CHECKING:
     from .surfaces import Torus as Torus
     from .trajectory import Code as Code
     from .trajectory import Trajectory as Trajectory
+    from .voronets import VoronetsState as VoronetsState
 
 
 def __getattr__(name: str):

@@ -1,0 +1,39 @@
+"""docs/theory.md is true: every function and every test that it names is there."""
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "theory.md").read_text()
+ROWS = re.findall(
+    r"^\| (.+?) \| .+? \| `([\w.]+)` \| `([\w/.]+)::(\w+)` \|$", PAGE, re.M
+)
+
+
+def test_the_table_is_read():
+    listed = [line for line in PAGE.splitlines() if "::" in line]
+    assert len(ROWS) == len(listed) > 20
+
+
+def test_every_numbered_equation_has_a_row():
+    cited = {
+        number
+        for equation, *_ in ROWS
+        for number in re.findall(r"\((\d\.\d+)\)", equation)
+    }
+    # (1.17) writes derivatives of vectors out by components: automatic here
+    expected = {f"1.{k}" for k in range(1, 17)} | {f"2.{k}" for k in range(1, 11)}
+    assert cited == expected
+
+
+@pytest.mark.parametrize(("equation", "name", "path", "test"), ROWS)
+def test_function_and_test_exist(equation, name, path, test):
+    room, *attributes = name.split(".")
+    thing = importlib.import_module(f"rollkane.{room}")
+    for attribute in attributes:
+        thing = getattr(thing, attribute)
+    assert callable(thing)
+    assert re.search(rf"^def {test}\(", (ROOT / "tests" / path).read_text(), re.M)
