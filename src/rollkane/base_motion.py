@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from .checks import FieldError, real, refuse
 from .rotations import rotation_matrix
 from .small_linear import components, cross, dot, matmul, matvec, matvec_transposed
-from .user_function import UserFunction, check_output, check_rotation
+from .user_function import UserFunction, as_time, check_output, check_rotation
 
 
 class BaseKinematics(eqx.Module):
@@ -200,6 +200,7 @@ class BaseMotion(AbstractBaseMotion):
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Pose, velocity and acceleration at a time [s], by nested derivatives."""
+        t = as_time(t)
         place = turn = (None, None, None)
         spin = change = None
         if self.position is not None:
@@ -297,6 +298,7 @@ class Spin(AbstractBaseMotion):
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Pose and angular velocity at a time [s]."""
+        t = as_time(t)
         c, s = jnp.cos(self.rate * t), jnp.sin(self.rate * t)
         zero, one = jnp.zeros_like(c), jnp.ones_like(c)
         rotation = jnp.stack(

@@ -29,6 +29,7 @@ from .rolling import contact_of
 from .scene import Scene
 from .small_linear import components, cross, dot, matvec, matvec_transposed, solve_spd
 from .state_conversion import in_charts
+from .user_function import as_time
 from .voronets import AnyState, ChartContact, VoronetsState, virtual_rates
 
 EQUATIONS = ("2.3", "2.5", "2.9")
@@ -63,6 +64,7 @@ def euler_lagrange_derivative(
             "is not known",
             f"use one of {EQUATIONS}",
         )
+    t = as_time(t)
     own = in_charts(scene, t, state) if isinstance(state, State) else state
     contact = contact_of(scene, t, own)
     assert isinstance(contact, ChartContact)

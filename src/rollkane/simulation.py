@@ -362,10 +362,11 @@ def _check_span(scene: Scene, times: Any) -> None:
         return
     first, last = float(span[0]), float(span[1])
     slack = 1e-9 * (last - first)
-    if min(times) < first - slack or max(times) > last + slack:
+    least, most = float(np.min(times)), float(np.max(times))
+    if least < first - slack or most > last + slack:
         raise FieldError(
             "simulate.times",
-            (float(min(times)), float(max(times))),
+            (least, most),
             f"leave the record of Base.motion, which is known from {first:g} to "
             f"{last:g} s",
             "stay within it, or add samples (of zero, for a base that coasts on)",

@@ -20,7 +20,7 @@ from .bodies import checked_inertia
 from .carried_functions import functions_of, moved
 from .checks import FieldError, positive
 from .small_linear import components, dot, matmul
-from .user_function import UserFunction, check_output, check_rotation
+from .user_function import UserFunction, as_time, check_output, check_rotation
 
 
 class Turning(eqx.Module):
@@ -106,7 +106,7 @@ class _Driven(AbstractSupported):
         """``Q_s`` of the user's force [J per unit of alpha]."""
         if self.force is None:
             return None
-        arguments = jnp.concatenate([t[None], alpha, alpha_dot])
+        arguments = jnp.concatenate([as_time(t)[None], alpha, alpha_dot])
         return self.force(arguments)
 
     def potential_energy(self, alpha):
@@ -323,6 +323,7 @@ class Prescribed(AbstractSupported):
     def carried(self, t, alpha, alpha_dot) -> Carried:
         """The masses at one instant, without coordinates."""
         del alpha, alpha_dot
+        t = as_time(t)
 
         def rate(t):
             return jax.jvp(lambda t: self.motion(t[None]), (t,), (jnp.ones_like(t),))

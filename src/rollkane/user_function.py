@@ -130,6 +130,11 @@ def _as_float(x: Any) -> Any:
     return x
 
 
+def as_time(t: Any) -> Array:
+    """A time [s] as an array of floats; plain numbers are times, too."""
+    return jnp.asarray(t, jnp.result_type(t, float))
+
+
 def accepts(function: Callable, count: int) -> bool:
     """Whether a function can be called with so many positional arguments."""
     try:
