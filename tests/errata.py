@@ -259,16 +259,17 @@ def _once(function):
 def residuals() -> dict[str, tuple[float, float]]:
     """Item -> largest residual (as printed, as corrected) over all configurations."""
     found: dict[str, list] = {}
-    for sign in (1, -1):
-        for make, of in (
-            (drawn, (kinematics, symbols, energies)),
-            (carried_scene, (supported_body,)),
-        ):
-            scene, state = make(sign)
-            for group in of:
-                pairs = _once(lambda s, g=group, c=scene: g(c, s))(state)
-                for name, pair in pairs.items():
-                    found.setdefault(name, []).append(pair)
+    groups = (
+        (drawn, 1, (kinematics, symbols, energies)),
+        (drawn, -1, (kinematics, energies)),
+        (carried_scene, -1, (supported_body,)),
+    )
+    for make, sign, parts in groups:
+        scene, state = make(sign)
+        for part in parts:
+            pairs = _once(lambda s, part=part, scene=scene: part(scene, s))(state)
+            for name, pair in pairs.items():
+                found.setdefault(name, []).append(pair)
     for seed in range(DRAWS):
         for name, pair in bar(seed).items():
             found.setdefault(name, []).append(pair)
