@@ -57,12 +57,13 @@ class Body(eqx.Module):
         self.surface = surface
 
 
-def checked_inertia(field: str, inertia) -> Float[Array, "3 3"]:
+def checked_inertia(field: str, inertia, thin: bool = False) -> Float[Array, "3 3"]:
     """An inertia tensor about a mass centre that some distribution of mass can have.
 
     Args:
         field: Name used in the error.
         inertia: Tensor [kg m^2], shape (3, 3).
+        thin: Whether a moment may be zero: a rod, or a point.
 
     Raises:
         FieldError: not symmetric, not positive definite, or against the triangle
@@ -81,7 +82,11 @@ def checked_inertia(field: str, inertia) -> Float[Array, "3 3"]:
     )
     tensor = refuse(
         tensor,
-        lambda t: _principal_moments(t)[0] <= 0,
+        lambda t: (
+            _principal_moments(t)[0] < -slack * abs(t).max()
+            if thin
+            else _principal_moments(t)[0] <= 0
+        ),
         field,
         "must be positive definite",
         "check the signs: off-diagonal tensor entries are minus the products of "

@@ -44,6 +44,11 @@ _REASONS = {
 }
 
 
+def reason_of(code: Int[Array, ""]) -> str:
+    """What a code says, and what to do about it."""
+    return _REASONS[int(code)]
+
+
 class Trajectory(eqx.Module):
     """Motion of a scene at T times; under ``vmap`` every array has the batch in front.
 
@@ -88,7 +93,7 @@ class Trajectory(eqx.Module):
     @property
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
-        return _REASONS[int(self.code)]
+        return reason_of(self.code)
 
     @property
     def position(self) -> Float[Array, "T 3"]:

@@ -38,7 +38,9 @@ LADDER = [
     "steps",
     "differentiate",
     "trajectory",
+    "integration",
     "simulation",
+    "kane",
     # 5 outside
     "accelerograms",
     "whole_file",
@@ -55,6 +57,7 @@ LADDER = [
 ]
 INSIDE = {
     "surfaces": ["kinds", "catalogue", "given", "revolution"],
+    "kane": ["system", "equations", "linearization", "motion"],
     "scene_files": [
         "positions",
         "problems",

@@ -1,0 +1,368 @@
+"""Integrate any right-hand side in time, with derivatives along the recorded steps.
+
+What moves is a tree of numbers (a model: a scene, a system) and a state; the rest of
+the library only says which function gives the rates.
+"""
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any, cast
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .checks import FieldError, is_traced, real
+from .coordinates import pack, unpack
+from .differentiate import differentiable
+from .steps import Landings, LandOn, ReplaySteps, first_step, landings
+from .trajectory import Code
+
+# Reverse mode keeps this many states (about 0.3 kB each) before it recomputes parts.
+_CHECKPOINTS = 4096
+# Steps that a derivative can follow: the record takes 8 bytes a step.
+_RECORDED_STEPS = 2**16
+# A run that creeps towards a singular place must end: a minute at the slowest.
+_UNRECORDED_STEPS = 2**22
+
+
+class Problem(eqx.Module):
+    """What is integrated; the same object for the same kind of motion.
+
+    Attributes:
+        derivative: ``derivative(model, t, state)`` -> rates, as a state.
+        quickness: ``quickness(state)`` -> speeds [rad/s] that limit the first step.
+        corners: ``corners(model)`` -> times at which the right-hand side has a corner
+            [s], or None, and whether it may jump there.
+    """
+
+    derivative: Callable = eqx.field(static=True)
+    quickness: Callable = eqx.field(static=True)
+    corners: Callable = eqx.field(static=True)
+
+
+class Outcome(eqx.Module):
+    """What came out of an integration.
+
+    Attributes:
+        time: Of the outputs [s], shape (T,).
+        state: At the outputs, every array with a leading T; NaN where not reached.
+        code: Why the run ended, one of :class:`Code`.
+        final_time: Time that was reached [s].
+        final_state: State at that time.
+        steps: Accepted steps.
+        rejected_steps: Rejected steps.
+    """
+
+    time: Float[Array, " T"]
+    state: Any
+    code: Array
+    final_time: Array
+    final_state: Any
+    steps: Array
+    rejected_steps: Array
+
+
+def integrate(
+    problem: Problem,
+    model: Any,
+    start: Any,
+    times: Float[Array, " T"],
+    *,
+    rtol: Any,
+    atol: Any,
+    solver: dfx.AbstractSolver | None,
+    stepsize_controller: dfx.AbstractStepSizeController | None,
+    adjoint: dfx.AbstractAdjoint | None,
+    saveat: dfx.SaveAt | None,
+    dt0: Any,
+    max_steps: int | None,
+    progress_meter: dfx.AbstractProgressMeter | None,
+) -> Outcome:
+    """Integrate a start to the asked times; see ``rollkane.simulate``.
+
+    Args:
+        problem: Which function gives the rates.
+        model: Tree of numbers that it depends on; differentiable.
+        start: State at the first time; differentiable.
+        times: Checked output times [s].
+        rtol: Relative tolerance of a step [1], or None.
+        atol: Absolute tolerance of a step [unit of the state], or None.
+        solver: diffrax solver, or None for the default.
+        stepsize_controller: diffrax controller, or None.
+        adjoint: diffrax adjoint, or None.
+        saveat: diffrax ``SaveAt``, or None.
+        dt0: First step [s], or None.
+        max_steps: Most steps, or None.
+        progress_meter: diffrax progress meter, or None.
+
+    Raises:
+        FieldError: tolerances out of range.
+    """
+    dtype = times.dtype
+    rtol, atol = _tolerances(rtol, atol, dtype)
+    plan = _Plan(
+        problem=problem,
+        solver=_default_solver(rtol) if solver is None else solver,
+        controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=saveat,
+        max_steps=max_steps,
+        progress_meter=dfx.NoProgressMeter()
+        if progress_meter is None
+        else progress_meter,
+    )
+    numbers = [_scalar(rtol, dtype), _scalar(atol, dtype)]
+    dt0 = None if dt0 is None else _scalar(dt0, dtype)
+    if stepsize_controller is None and saveat is None:
+        return _integrate(plan, None, model, start, times, numbers, dt0)
+    arrays, plan = eqx.partition(plan, eqx.is_array)
+    return _integrate(plan, arrays, model, start, times, numbers, dt0)
+
+
+class _Plan(eqx.Module):
+    """How to integrate: everything that does not change from call to call."""
+
+    problem: Problem
+    solver: dfx.AbstractSolver
+    controller: dfx.AbstractStepSizeController | None
+    adjoint: dfx.AbstractAdjoint | None
+    saveat: dfx.SaveAt | None
+    max_steps: int | None
+    progress_meter: dfx.AbstractProgressMeter
+
+
+# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
+@functools.partial(jax.jit, static_argnums=0)
+def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outcome:
+    plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+
+    @jax.jit  # traced once, however often the integrator evaluates it
+    def rates(t, y, model):
+        return pack(plan.problem.derivative(model, t, unpack(y, like)))
+
+    def solve(inputs, replay, adjoint):
+        return _solve(plan, rates, like, inputs, replay, adjoint)
+
+    y0 = pack(start)
+    # NaN would keep the step controller going for ever; zero stops it at the start
+    y0 = jnp.where(jnp.all(jnp.isfinite(y0)), y0, 0.0)
+    y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
+    fixed_times = jax.lax.stop_gradient(times)
+    inputs = (model, y0, fixed_times, *tolerances, dt0)
+    if plan.adjoint is None:
+        solution = differentiable(solve, inputs, _CHECKPOINTS)
+    else:
+        solution = solve(inputs, None, plan.adjoint)[0]
+    y = solution.y
+    if plan.saveat is None:
+        move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
+        y = move(y, times)
+    return Outcome(
+        time=times if plan.saveat is None else solution.time,
+        state=unpack(y, like),
+        code=solution.code,
+        final_time=solution.final_time,
+        final_state=unpack(solution.final_y, like),
+        steps=solution.steps,
+        rejected_steps=solution.rejected_steps,
+    )
+
+
+class _Solution(eqx.Module):
+    time: Array
+    y: Array
+    final_time: Array
+    final_y: Array
+    code: Array
+    steps: Array
+    rejected_steps: Array
+
+
+def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
+    """One diffrax solve: adaptive, or along the steps of ``replay``."""
+    model, y0, times, rtol, atol, dt0 = inputs
+    t0, t1 = times[0], times[-1]
+    if dt0 is None:
+        dt0 = first_step(plan.problem.quickness(unpack(y0, like)), t1 - t0)
+        dt0 = jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
+    dt0 = jnp.where(t1 < t0, -dt0, dt0)
+    if replay is not None:
+        controller = ReplaySteps(replay, _landings(model, times, plan).jumps)
+        dt0 = None
+    else:
+        controller = plan.controller or _landing(model, times, rtol, atol, plan)
+        if isinstance(controller, dfx.StepTo):
+            dt0 = None  # it has its own first step, and refuses another
+    wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
+    subs = [wanted, dfx.SubSaveAt(t1=True)]
+    recording = replay is None and adjoint is not None and plan.adjoint is None
+    if recording:
+        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: None))
+    max_steps = plan.max_steps
+    if max_steps is None:
+        custom = plan.saveat is not None or plan.controller is not None
+        bounded = recording or replay is not None or custom
+        max_steps = _RECORDED_STEPS if bounded else _UNRECORDED_STEPS
+    solution = dfx.diffeqsolve(
+        dfx.ODETerm(rates),
+        plan.solver,
+        t0,
+        t1,
+        dt0,
+        y0,
+        model,
+        saveat=dfx.SaveAt(subs=subs),
+        stepsize_controller=controller,
+        adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
+        max_steps=max_steps,
+        throw=False,
+        progress_meter=plan.progress_meter,
+    )
+    time, final_time, *record = cast(list, solution.ts)
+    y, final_y, *_ = cast(list, solution.ys)
+    y = jnp.where(jnp.isfinite(y), y, jnp.nan)
+    outcome = _Solution(
+        time=time,
+        y=y,
+        final_time=final_time[-1],
+        final_y=final_y[-1],
+        code=_code(solution.result, final_time[-1] == t0),
+        steps=solution.stats["num_accepted_steps"],
+        rejected_steps=solution.stats["num_rejected_steps"],
+    )
+    return outcome, record[0] if recording else None
+
+
+def _landing(
+    model: Any, times, rtol, atol, plan: _Plan
+) -> dfx.AbstractStepSizeController:
+    """Adaptive steps that end on outputs and on corners of the right-hand side."""
+    resolution = 10 * jnp.finfo(times.dtype).eps
+    dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
+    controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
+    where = _landings(model, times, plan)
+    return LandOn(controller, where) if where.ends.shape[0] > 1 else controller
+
+
+def _landings(model: Any, times, plan: _Plan) -> Landings:
+    outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
+    return landings(outputs, *plan.problem.corners(model))
+
+
+def _code(result, stuck) -> Array:
+    code = jnp.asarray(Code.STOPPED)
+    for known, meaning in (
+        (dfx.RESULTS.successful, Code.COMPLETED),
+        (dfx.RESULTS.max_steps_reached, Code.MAX_STEPS),
+        (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),
+    ):
+        code = jnp.where(result == known, meaning, code)
+    too_small = stuck & (code == Code.STEP_TOO_SMALL)
+    return jnp.where(too_small, Code.BAD_START, code)
+
+
+@eqx.filter_custom_jvp
+def _moved_in_time(rates, y, t, model, sign):
+    """``y``, with the derivative that a change of its time ``t`` brings.
+
+    Output times are not part of the replayed solve; a later output has moved on by
+    the rates (sign +1), a later start stands for an earlier state (sign -1).
+    """
+    del rates, t, model, sign
+    return y
+
+
+@_moved_in_time.def_jvp
+def _moved_in_time_jvp(primals, tangents):
+    rates, y, t, model, sign = primals
+    _, y_dot, t_dot, _, _ = tangents
+    y_dot = jnp.zeros_like(y) if y_dot is None else y_dot
+    if t_dot is not None:
+        y_dot = y_dot + sign * rates(t, y, model) * t_dot
+    return y, y_dot
+
+
+_warned = False
+
+
+def warn_single_precision(dtype) -> None:
+    """Say once what single precision costs, where the program has not chosen it."""
+    global _warned
+    if dtype == jnp.float32 and jnp.result_type(float) == dtype and not _warned:
+        _warned = True
+        warnings.warn(
+            "rollkane runs in single precision: about 6 digits, and tolerances below "
+            '1e-6 cannot be met. jax.config.update("jax_enable_x64", True) at the '
+            "start of the program gives double precision.",
+            stacklevel=3,
+        )
+
+
+def _scalar(x, dtype):
+    return x.astype(dtype) if is_traced(x) else np.asarray(x, dtype)
+
+
+def checked_times(times: Any, dtype) -> Float[Array, " T"]:
+    """Output times [s] of the state's dtype.
+
+    Raises:
+        FieldError: times that are not two or more, or not strictly monotonic.
+    """
+    field = "simulate.times"
+    if is_traced(times):
+        return real(field, times, (None,), "output times in seconds").astype(dtype)
+    try:
+        times = np.asarray(times, dtype)
+    except (TypeError, ValueError) as error:
+        raise FieldError(
+            field, times, "must be made of numbers", "give output times in seconds"
+        ) from error
+    if times.ndim != 1 or times.shape[0] < 2:
+        raise FieldError(
+            field, times, "must hold a start and an end", "give two times or more"
+        )
+    steps = np.diff(times)
+    if not (np.all(steps > 0) or np.all(steps < 0)):  # not so for NaN either
+        raise FieldError(
+            field,
+            times,
+            "must be finite and strictly increasing or strictly decreasing",
+            "sort them and leave out repeated ones",
+        )
+    return times
+
+
+def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+    double = dtype == jnp.float64
+    rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
+    atol = 0.01 * rtol if atol is None else atol
+    least = 10 * float(jnp.finfo(dtype).eps)
+    for field, value, floor in (("rtol", rtol, least), ("atol", atol, 0.0)):
+        if is_traced(value):
+            continue
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise FieldError(
+                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
+            )
+        if value < floor:
+            raise FieldError(
+                f"simulate.{field}",
+                value,
+                f"is below what {dtype} can hold",
+                f"give {floor:.1g} or more"
+                + ("" if double else ", or use double precision"),
+            )
+    return rtol, atol
+
+
+def _default_solver(rtol) -> dfx.AbstractSolver:
+    """Dopri8 where many digits are asked for, Tsit5 where few are."""
+    if is_traced(rtol) or rtol < 1e-6:
+        return dfx.Dopri8()
+    return dfx.Tsit5()

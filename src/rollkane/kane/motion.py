@@ -1,0 +1,185 @@
+"""Motion of a system in time: the same integrator as that of a rolling body."""
+
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..checks import FieldError
+from ..integration import Problem, checked_times, integrate, warn_single_precision
+from ..trajectory import Code, reason_of
+from .equations import (
+    all_speeds,
+    kane_derivative,
+    kinetic_energy,
+    reactions,
+    refuse_singular,
+)
+from .system import KaneState, KaneSystem
+
+
+class KaneTrajectory(eqx.Module):
+    """Motion of a system at T times.
+
+    Attributes:
+        time: [s], shape (T,).
+        state: Coordinates and independent speeds, with a leading T; NaN where not
+            reached.
+        system: The system that moved.
+        code: Why the run ended, one of :class:`rollkane.Code`; 0 is success.
+        final_time: Time that was reached [s].
+        final_state: State at that time.
+        steps: Accepted steps.
+        rejected_steps: Rejected steps.
+    """
+
+    time: Float[Array, " T"]
+    state: KaneState
+    system: KaneSystem
+    code: Int[Array, ""]
+    final_time: Float[Array, ""]
+    final_state: KaneState
+    steps: Int[Array, ""]
+    rejected_steps: Int[Array, ""]
+
+    @property
+    def q(self) -> Float[Array, "T n"]:
+        """Generalized coordinates, shape (T, n)."""
+        return self.state.q
+
+    @property
+    def u(self) -> Float[Array, "T m"]:
+        """All generalized speeds, dependent ones included, shape (T, m)."""
+        return _each(_speeds, self.system, self.time, self.state)
+
+    @property
+    def kinetic_energy(self) -> Float[Array, " T"]:
+        """[J], shape (T,)."""
+        return _each(kinetic_energy, self.system, self.time, self.state)
+
+    @property
+    def reactions(self) -> Float[Array, "T a"]:
+        """Generalized reactions against the auxiliary speeds, shape (T, a)."""
+        return _each(reactions, self.system, self.time, self.state)
+
+    @property
+    def succeeded(self) -> Array:
+        """Whether the run reached its last time."""
+        return self.code == Code.COMPLETED
+
+    @property
+    def reason(self) -> str:
+        """Why a single run ended, and what to do about it."""
+        return reason_of(self.code)
+
+
+def simulate(
+    system: KaneSystem,
+    start: KaneState,
+    times: Any,
+    *,
+    rtol: float | None = None,
+    atol: float | None = None,
+    solver: dfx.AbstractSolver | None = None,
+    stepsize_controller: dfx.AbstractStepSizeController | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    dt0: float | None = None,
+    max_steps: int | None = None,
+    progress_meter: dfx.AbstractProgressMeter | None = None,
+) -> KaneTrajectory:
+    """Motion of a system from a start, at the asked times.
+
+    Differentiable in forward and reverse mode, can be jitted and vmapped, lands on
+    every output: see ``rollkane.simulate``, whose arguments these are.
+
+    Args:
+        system: The system.
+        start: Coordinates and independent speeds at ``times[0]``.
+        times: Output times [s], shape (T,), strictly monotonic.
+        rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
+        atol: Absolute tolerance of a step; 0.01 rtol by default.
+        solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
+        stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
+        adjoint: diffrax adjoint; replaces the derivative along recorded steps.
+        dt0: First step [s].
+        max_steps: Most steps taken.
+        progress_meter: diffrax progress meter.
+
+    Raises:
+        FieldError: a start of another shape, times or tolerances out of range.
+    """
+    start = _checked_start(system, start)
+    dtype = start.q.dtype
+    warn_single_precision(dtype)
+    times = checked_times(times, dtype)
+    refuse_singular(system, times[0], start)
+    outcome = integrate(
+        _PROBLEM,
+        system,
+        start,
+        times,
+        rtol=rtol,
+        atol=atol,
+        solver=solver,
+        stepsize_controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=None,
+        dt0=dt0,
+        max_steps=max_steps,
+        progress_meter=progress_meter,
+    )
+    return KaneTrajectory(
+        time=outcome.time,
+        state=outcome.state,
+        system=system,
+        code=outcome.code,
+        final_time=outcome.final_time,
+        final_state=outcome.final_state,
+        steps=outcome.steps,
+        rejected_steps=outcome.rejected_steps,
+    )
+
+
+def _speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
+    return all_speeds(system, t, state.q, state.u).u[: system.speeds]
+
+
+def _quickness(state: KaneState) -> Float[Array, " m"]:
+    return state.u
+
+
+def _corners(system: KaneSystem) -> tuple[None, bool]:
+    del system
+    return None, False
+
+
+_PROBLEM = Problem(kane_derivative, _quickness, _corners)
+
+
+def _checked_start(system: KaneSystem, start: KaneState) -> KaneState:
+    if not isinstance(start, KaneState):
+        raise FieldError(
+            "simulate.start", start, "must be a KaneState", "give KaneState(q, u)"
+        )
+    q, u = jnp.asarray(start.q, float), jnp.asarray(start.u, float)
+    wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
+    for name, array in (("q", q), ("u", u)):
+        if array.shape != wanted[name]:
+            raise FieldError(
+                f"simulate.start.{name}",
+                array.shape,
+                f"must have shape {wanted[name]}",
+                "give every coordinate, and the independent speeds alone",
+            )
+    return KaneState(q, u)
+
+
+@eqx.filter_jit
+def _each(observable: Any, system: KaneSystem, time: Array, state: KaneState) -> Array:
+    mapped = jax.vmap(observable, in_axes=(None, 0, 0))
+    for _ in range(state.q.ndim - 2):
+        mapped = jax.vmap(mapped)
+    return mapped(system, time, state)
