@@ -57,7 +57,14 @@ LADDER = [
 ]
 INSIDE = {
     "surfaces": ["kinds", "catalogue", "given", "revolution"],
-    "kane": ["system", "equations", "linearization", "motion"],
+    "kane": [
+        "system",
+        "equations",
+        "linearization",
+        "motion",
+        "ready",
+        "rolling_scene",
+    ],
     "scene_files": [
         "positions",
         "problems",

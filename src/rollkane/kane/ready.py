@@ -41,8 +41,8 @@ def free_rigid_body(
 ) -> KaneSystem:
     """A free rigid body: 13 first-order equations.
 
-    q = (x, y, z of the mass centre [m], Euler parameters, scalar last); u = (velocity of
-    the mass centre [m/s], angular velocity [rad/s]), both on BODY axes.
+    q = (x, y, z of the mass centre [m], Euler parameters, scalar last); u = (velocity
+    of the mass centre [m/s], angular velocity [rad/s]), both on BODY axes.
 
     Args:
         mass: [kg].
