@@ -51,9 +51,10 @@ _ROOMS = {
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 
-__all__ = sorted(_ROOM_OF)  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted([*_ROOM_OF, "kane"])  # pyright: ignore[reportUnsupportedDunderAll]
 
 if TYPE_CHECKING:
+    from . import kane as kane
     from .accelerograms import Accelerogram as Accelerogram
     from .accelerograms import builtin_record as builtin_record
     from .accelerograms import read_at2 as read_at2
@@ -101,6 +102,8 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str):
     """Import a public name from its room, once."""
+    if name == "kane":
+        return importlib.import_module(".kane", __name__)
     room = _ROOM_OF.get(name)
     if room is None:
         raise AttributeError(f"module 'rollkane' has no attribute {name!r}")
@@ -111,4 +114,4 @@ def __getattr__(name: str):
 
 def __dir__() -> list[str]:
     """Public names, whether imported yet or not."""
-    return sorted(set(globals()) | set(_ROOM_OF))
+    return sorted(set(globals()) | set(__all__))

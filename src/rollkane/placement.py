@@ -12,6 +12,7 @@ from .checks import is_traced, real, refuse
 from .contact import body_to_base
 from .coordinates import State
 from .geometry import LocalGeometry, from_normal
+from .one_call import for_one_call
 from .rolling import assemble, contact_of
 from .rotations import rotation_matrix
 from .scene import Scene
@@ -114,7 +115,7 @@ def _with_mass(scene: Scene, time: Array, state: State) -> State:
     return eqx.tree_at(lambda s: s.alpha, state, alpha)
 
 
-@eqx.filter_jit
+@for_one_call
 def _massless(scene: Scene, time: Array, state: State) -> Array:
     """Whether the mass matrix, scaled to a diagonal of ones, is not positive."""
     rows = assemble(scene, time, state, contact_of(scene, time, state)).rows
@@ -198,7 +199,7 @@ def _list(value: Array) -> str:
     return "the point" if is_traced(value) else str(np.asarray(value).tolist())
 
 
-@eqx.filter_jit
+@for_one_call
 def _fit(scene: Scene, orientation, spin, point, hints, loose: float, time) -> _Fit:
     base, body = scene.base.surface, scene.body.surface
     edge_normal, near = hints

@@ -34,6 +34,23 @@ def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
     )
 
 
+def about_axis(axis: int, angle: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Turn about a coordinate axis [1].
+
+    Args:
+        axis: 0, 1 or 2 for x, y or z.
+        angle: Positive by the right hand [rad].
+    """
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    o, e = jnp.zeros_like(c), jnp.ones_like(c)
+    rows = {
+        0: [[e, o, o], [o, c, -s], [o, s, c]],
+        1: [[c, o, s], [o, e, o], [-s, o, c]],
+        2: [[c, -s, o], [s, c, o], [o, o, e]],
+    }
+    return jnp.stack([jnp.stack(row) for row in rows[axis]])
+
+
 def multiply(p: Float[Array, "4 *B"], q: Float[Array, "4 *B"]) -> Float[Array, "4 *B"]:
     """Quaternion product ``p q``: first the rotation ``q``, then ``p``."""
     a, b, c, d = components(p)

@@ -10,6 +10,7 @@ SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 LADDER = [
     # 0 geometry
     "checks",
+    "one_call",
     "small_linear",
     "rotations",
     "user_function",
@@ -60,9 +61,11 @@ INSIDE = {
     "kane": [
         "system",
         "equations",
+        "refusals",
         "linearization",
         "motion",
         "ready",
+        "bicycle",
         "rolling_scene",
     ],
     "scene_files": [

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import operator
 import re
 from pathlib import Path
 
@@ -24,6 +25,7 @@ NAMES = {
     "builtin_record",
     "contact_of",
     "euler_lagrange_derivative",
+    "kane",
     "paper_quantities",
     "read_at2",
     "read_single_column",
@@ -94,9 +96,20 @@ def test_importing_changes_no_setting():
                     assert ast.unparse(node.func) != "jax.config.update", path.name
 
 
-@pytest.mark.parametrize("name", sorted(NAMES))
+WITHOUT_UNITS = ("Plane", "Rolling", "Scene", "Base", "Code", "FieldError")
+KANE = {
+    name
+    for name, thing in vars(rk.kane).items()
+    if not name.startswith("_") and callable(thing)
+}
+
+
+PUBLIC = [*sorted(NAMES - {"kane"}), *(f"kane.{name}" for name in sorted(KANE))]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
 def test_docstrings_carry_units_and_arguments(name):
-    thing = getattr(rk, name)
+    thing = operator.attrgetter(name)(rk)
     text = inspect.getdoc(thing) or ""
     if inspect.isclass(thing) and "__init__" in vars(thing):
         text += "\n" + (inspect.getdoc(thing.__init__) or "")
@@ -105,7 +118,7 @@ def test_docstrings_carry_units_and_arguments(name):
     for argument in signature.parameters:
         if argument not in ("self", "args", "kwargs"):
             assert re.search(rf"\b{argument}\b", text), f"{name}: {argument}"
-    if name not in ("Plane", "Rolling", "Scene", "Base", "Code", "FieldError"):
+    if name not in WITHOUT_UNITS:
         assert re.search(r"\[[^\]]*\]", text), f"{name} says no unit"
 
 

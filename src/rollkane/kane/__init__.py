@@ -1,10 +1,16 @@
 """Kane's method for any system that a user can write down.
 
 From outside to inside: ``motion`` integrates, ``linearization`` and ``equations``
-evaluate a system that ``system`` describes.
+evaluate a system that ``system`` describes; ``ready``, ``bicycle`` and
+``rolling_scene`` write systems down.
 """
 
+from .bicycle import LEAN_AND_STEER as LEAN_AND_STEER
+from .bicycle import Bicycle as Bicycle
+from .bicycle import bicycle_state as bicycle_state
+from .bicycle import whipple_bicycle as whipple_bicycle
 from .equations import KaneEquations as KaneEquations
+from .equations import all_speeds as all_speeds
 from .equations import kane_derivative as kane_derivative
 from .equations import kane_equations as kane_equations
 from .equations import kinetic_energy as kinetic_energy
@@ -13,6 +19,15 @@ from .linearization import Linearization as Linearization
 from .linearization import linearize as linearize
 from .motion import KaneTrajectory as KaneTrajectory
 from .motion import simulate as simulate
+from .ready import DISC_SPEEDS as DISC_SPEEDS
+from .ready import babyboot as babyboot
+from .ready import bar_on_frame as bar_on_frame
+from .ready import disc_state as disc_state
+from .ready import euler_parameters_to_rotation as euler_parameters_to_rotation
+from .ready import free_rigid_body as free_rigid_body
+from .ready import rolling_disc as rolling_disc
+from .rolling_scene import kane_state as kane_state
+from .rolling_scene import rolling_system as rolling_system
 from .system import KaneState as KaneState
 from .system import KaneSystem as KaneSystem
 from .system import Load as Load

@@ -1,11 +1,12 @@
 """Kane's equations of a system at one instant: ``F_r + F_r* = 0``.
 
-Partial velocities are derivatives of velocities by speeds; accelerations at rest of the
-speeds are derivatives of velocities along the motion. Source: the collected equations'
-section 8a (document [B], (1) to (6)).
+Velocities are affine in the speeds, so that one derivative at rest gives every partial
+velocity; accelerations at constant speeds are derivatives along the motion. What the
+functions share is traced twice, however many there are. Source: the collected
+equations' section 8a (document [B], (1) to (6)).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,11 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..checks import FieldError, is_traced
 from ..small_linear import components, cross, solve_spd
-from .system import KaneState, KaneSystem, RigidBody
+from .system import KaneState, KaneSystem, MotionFunction, RigidBody
 
 # of the scale of a matrix: a thousand roundings of double precision
-_SINGULAR = 1e-12
+SINGULAR = 1e-12
 _UNROLLED = 6  # larger systems are solved by lineax
 
 
@@ -48,12 +48,46 @@ class Speeds(NamedTuple):
     Attributes:
         u: Shape (m,), auxiliary ones (zero) last.
         T: Shape (m, independent).
-        bias: ``T' u_i + s'``, what u' has without u_i', shape (m,).
+        follow: What the speeds follow a violation of the constraints with, so that
+            ``u' = T u_i' + follow c``, where c is the constraints' rate at constant
+            speeds; shape (m, constraints).
     """
 
     u: Float[Array, " m"]
     T: Float[Array, "m i"]
-    bias: Float[Array, " m"]
+    follow: Float[Array, "m c"]
+
+
+class Velocities(NamedTuple):
+    """Something for each of a system's functions that are affine in the speeds."""
+
+    points: list[Any]
+    turnings: list[Any]
+    on_loads: list[Any]
+    constraints: Any
+    kinematics: Any
+
+
+class Partials(NamedTuple):
+    """Velocities at rest, and their derivatives by the speeds."""
+
+    at_rest: Velocities
+    by_speeds: Velocities
+
+    def at(self, name: str, u):
+        """Values of one kind at given speeds."""
+        rest, by_speeds = getattr(self.at_rest, name), getattr(self.by_speeds, name)
+        return jax.tree.map(lambda v, V: v + V @ u, rest, by_speeds)
+
+
+class _Rates(NamedTuple):
+    """Derivatives along the motion at constant speeds, and loads."""
+
+    points: list[Array]
+    turnings: list[Array]
+    constraints: Array | None
+    loads: list[Array]
+    generalized: Array | None
 
 
 def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
@@ -67,65 +101,13 @@ def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
 
     Source: [B] (4); theory, section 8a.
     """
-    q, u = _arrays(system, q, u)
-    q_dot = system.kinematics(t, q, u)
-    count = u.shape[0]
-    M = jnp.zeros((count, count), u.dtype)
-    inertia_force, fr = jnp.zeros_like(u), jnp.zeros_like(u)
-    energy = jnp.zeros((), u.dtype)
-    for part in system.parts:
-        v, V, a = _moving(part.velocity, t, q, u, q_dot)
-        w = None
-        if isinstance(part, RigidBody):
-            w, W, alpha = _moving(part.angular_velocity, t, q, u, q_dot)
-            if part.own_axes:
-                a = a + cross(w, v)
-            H = part.inertia @ w
-            M = M + W.T @ part.inertia @ W
-            inertia_force = inertia_force + W.T @ (part.inertia @ alpha + cross(w, H))
-            energy = energy + 0.5 * jnp.sum(w * H)
-        M = M + part.mass * (V.T @ V)
-        inertia_force = inertia_force + part.mass * (V.T @ a)
-        energy = energy + 0.5 * part.mass * jnp.sum(v * v)
-    for load in system.loads:
-        V = jax.jacfwd(lambda u, v=load.velocity: v(t, q, u))(u)
-        fr = fr + V.T @ load.load(t, q, u)
-    if system.generalized_forces is not None:
-        fr = fr + system.generalized_forces(t, q, u)
-    return KaneEquations(M, fr - inertia_force, fr, q_dot, energy)
-
-
-def all_speeds(system: KaneSystem, t, q, u_independent) -> Speeds:
-    """Every speed from the independent ones, by the constraints.
-
-    Args:
-        system: The system.
-        t: Time [s].
-        q: Generalized coordinates, shape (n,).
-        u_independent: Independent speeds.
-
-    Where constraints depend on each other, the dependent speeds are NaN.
-    """
-    dtype = jnp.result_type(q, u_independent)
-    size = system.speeds + system.auxiliary
-    free = jnp.asarray(system.independent, int)
-    u = jnp.zeros(size, dtype).at[free].set(u_independent)
-    T = jnp.zeros((size, free.shape[0]), dtype)
-    T = T.at[free, jnp.arange(free.shape[0])].set(1.0)
-    constraints = system.constraints
-    if constraints is None:
-        return Speeds(u, T, jnp.zeros_like(u))
-    bound = jnp.asarray(system.dependent, int)
-    of = lambda u: constraints(t, q, u)
-    C = jax.jacfwd(of)(u)
-    C_d = _regular(C[:, bound])
-    u = u.at[bound].set(-jnp.linalg.solve(C_d, of(u)))
-    T = T.at[bound].set(-jnp.linalg.solve(C_d, C[:, free]))
-    q_dot = system.kinematics(t, q, u)
-    along = lambda t, q: constraints(t, q, u)
-    change = jax.jvp(along, (t, q), (jnp.ones_like(t), q_dot))[1]
-    bias = jnp.zeros_like(u).at[bound].set(-jnp.linalg.solve(C_d, change))
-    return Speeds(u, T, bias)
+    t, q, u = as_float(t), jnp.asarray(q), jnp.asarray(u)
+    if u.shape[0] == system.speeds and system.auxiliary:
+        u = jnp.concatenate([u, jnp.zeros(system.auxiliary, u.dtype)])
+    partials = partials_of(system, t, q)
+    q_dot = partials.at("kinematics", u)
+    rates = _rates(system, t, q, u, q_dot)
+    return _assembled(system, partials, rates, u, q_dot)
 
 
 def kane_derivative(system: KaneSystem, t, state: KaneState) -> KaneState:
@@ -139,9 +121,7 @@ def kane_derivative(system: KaneSystem, t, state: KaneState) -> KaneState:
     Returns:
         Rates, as a state.
     """
-    q_dot, u_dot, _ = _solved(system, t, state)
-    free = jnp.asarray(system.independent, int)
-    return KaneState(q_dot, u_dot[free])
+    return reduced(system, as_float(t), state).rates()
 
 
 def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
@@ -149,28 +129,184 @@ def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
 
     What has to act along each auxiliary speed so that it stays zero: with a speed that
     is a velocity of a point in one direction, the force on that point [N].
+
+    Args:
+        system: The system.
+        t: Time [s].
+        state: Coordinates and independent speeds.
     """
-    _, u_dot, equations = _solved(system, t, state)
-    needed = equations.mass_matrix @ u_dot - equations.forcing
-    return needed[system.speeds :]
+    M, forcing, T, bias, of_all = reduced(system, as_float(t), state)
+    u_dot = T @ _solve(M, forcing) + bias
+    return (of_all.mass_matrix @ u_dot - of_all.forcing)[system.speeds :]
 
 
 def kinetic_energy(system: KaneSystem, t, state: KaneState) -> Float[Array, ""]:
-    """Kinetic energy of a state [J]."""
-    u = all_speeds(system, as_float(t), state.q, state.u).u
-    return kane_equations(system, as_float(t), state.q, u).kinetic_energy
+    """Kinetic energy of a state [J].
+
+    Args:
+        system: The system.
+        t: Time [s].
+        state: Coordinates and independent speeds.
+    """
+    partials = partials_of(system, as_float(t), state.q)
+    return _energy(system, partials, _speeds(system, partials, state.u).u)
 
 
-def _solved(system: KaneSystem, t, state: KaneState):
-    """q', all u', and the equations they come from."""
-    t = as_float(t)
-    speeds = all_speeds(system, t, state.q, state.u)
-    equations = kane_equations(system, t, state.q, speeds.u)
-    M, T = equations.mass_matrix, speeds.T
-    reduced = T.T @ M @ T
-    forcing = T.T @ (equations.forcing - M @ speeds.bias)
-    u_dot = T @ _solve(reduced, forcing) + speeds.bias
-    return equations.q_dot, u_dot, equations
+def all_speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
+    """All generalized speeds of a state, dependent ones included, shape (speeds,).
+
+    Where constraints depend on each other, the dependent speeds are NaN.
+
+    Args:
+        system: The system.
+        t: Time [s].
+        state: Coordinates and independent speeds.
+    """
+    partials = partials_of(system, as_float(t), state.q)
+    return _speeds(system, partials, state.u).u[: system.speeds]
+
+
+class Reduced(NamedTuple):
+    """Equations of the independent speeds; ``u' = T u_i' + bias`` for all."""
+
+    mass_matrix: Float[Array, "i i"]
+    forcing: Float[Array, " i"]
+    T: Float[Array, "m i"]
+    bias: Float[Array, " m"]
+    of_all: KaneEquations
+
+    def rates(self) -> KaneState:
+        """Q' and u_i'."""
+        return KaneState(self.of_all.q_dot, _solve(self.mass_matrix, self.forcing))
+
+
+def reduced(system: KaneSystem, t, state: KaneState) -> Reduced:
+    """Equations of the independent speeds alone."""
+    partials = partials_of(system, t, state.q)
+    u, T, follow = _speeds(system, partials, state.u)
+    q_dot = partials.at("kinematics", u)
+    rates = _rates(system, t, state.q, u, q_dot)
+    of_all = _assembled(system, partials, rates, u, q_dot)
+    M, forcing, bias = of_all.mass_matrix, of_all.forcing, jnp.zeros_like(u)
+    if rates.constraints is not None:
+        bias = follow @ rates.constraints
+        forcing = forcing - M @ bias
+    return Reduced(T.T @ M @ T, T.T @ forcing, T, bias, of_all)
+
+
+def values_of(system: KaneSystem, t, q, u) -> Velocities:
+    """Of every function that is affine in the speeds."""
+    more = system.more(t, q, u)
+    functions = Velocities(
+        [part.velocity for part in system.parts],
+        [part.angular_velocity for part in _turning(system)],
+        [load.velocity for load in system.loads],
+        system.constraints,
+        system.kinematics,
+    )
+    alone = lambda x: isinstance(x, MotionFunction)
+    return jax.tree.map(lambda f: f(t, q, u, more), functions, is_leaf=alone)
+
+
+def partials_of(system: KaneSystem, t, q) -> Partials:
+    """All partial velocities."""
+
+    def of_speeds(u):
+        values = values_of(system, t, q, u)
+        return values, values
+
+    rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
+    by_speeds, at_rest = jax.jacfwd(of_speeds, has_aux=True)(rest)
+    return Partials(at_rest, by_speeds)
+
+
+def _rates(system: KaneSystem, t, q, u, q_dot) -> _Rates:
+    def along(t, q):
+        more = system.more(t, q, u)
+        of = lambda f: None if f is None else f(t, q, u, more)
+        velocities = (
+            [of(part.velocity) for part in system.parts],
+            [of(part.angular_velocity) for part in _turning(system)],
+            of(system.constraints),
+        )
+        forces = [of(load.load) for load in system.loads]
+        return velocities, (forces, of(system.generalized_forces))
+
+    _, rates, forces = jax.jvp(along, (t, q), (jnp.ones_like(t), q_dot), has_aux=True)
+    return _Rates(*rates, *forces)
+
+
+def _speeds(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
+    """Every speed from the independent ones, by the constraints."""
+    size = system.speeds + system.auxiliary
+    free = _places(size, system.independent, u_independent.dtype)
+    u = free @ u_independent
+    C = partials.by_speeds.constraints
+    if C is None:
+        return Speeds(u, free, jnp.zeros((size, 0), u.dtype))
+    bound = _places(size, system.dependent, u.dtype)
+    follow = -bound @ _inverse(C @ bound)
+    u = u + follow @ partials.at("constraints", u)
+    return Speeds(u, free + follow @ (C @ free), follow)
+
+
+def _places(size: int, chosen: tuple[int, ...], dtype) -> Float[Array, "m k"]:
+    """Puts chosen speeds into their places among all."""
+    return jnp.asarray(np.eye(size)[:, list(chosen)], dtype)
+
+
+def _assembled(system, partials: Partials, rates: _Rates, u, q_dot) -> KaneEquations:
+    """Mass matrix and forces from velocities, their derivatives, and loads."""
+    M = jnp.zeros((u.shape[0], u.shape[0]), u.dtype)
+    inertia_force = jnp.zeros_like(u)
+    turnings = iter(
+        zip(
+            partials.at("turnings", u),
+            partials.by_speeds.turnings,
+            rates.turnings,
+            strict=True,
+        )
+    )
+    for part, v, V, a in zip(
+        system.parts,
+        partials.at("points", u),
+        partials.by_speeds.points,
+        rates.points,
+        strict=True,
+    ):
+        if isinstance(part, RigidBody):
+            w, W, alpha = next(turnings)
+            I_W = part.inertia @ W
+            M = M + W.T @ I_W
+            moment = part.inertia @ alpha + cross(w, part.inertia @ w)
+            inertia_force = inertia_force + W.T @ moment
+            if part.own_axes:
+                a = a + cross(w, v)
+        M = M + part.mass * (V.T @ V)
+        inertia_force = inertia_force + part.mass * (V.T @ a)
+    fr = jnp.zeros_like(u)
+    for V, load in zip(partials.by_speeds.on_loads, rates.loads, strict=True):
+        fr = fr + V.T @ load
+    if rates.generalized is not None:
+        fr = fr + rates.generalized
+    energy = _energy(system, partials, u)
+    return KaneEquations(M, fr - inertia_force, fr, q_dot, energy)
+
+
+def _energy(system: KaneSystem, partials: Partials, u) -> Float[Array, ""]:
+    """Kinetic energy [J]."""
+    twice = jnp.zeros((), u.dtype)
+    turnings = iter(partials.at("turnings", u))
+    for part, v in zip(system.parts, partials.at("points", u), strict=True):
+        twice = twice + part.mass * jnp.sum(v * v)
+        if isinstance(part, RigidBody):
+            w = next(turnings)
+            twice = twice + jnp.sum(w * (part.inertia @ w))
+    return 0.5 * twice
+
+
+def _turning(system: KaneSystem) -> list[RigidBody]:
+    return [part for part in system.parts if isinstance(part, RigidBody)]
 
 
 def _solve(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"]:
@@ -188,68 +324,16 @@ def as_float(t) -> Array:
     return jnp.asarray(t, jnp.result_type(t, float))
 
 
-def _arrays(system: KaneSystem, q, u) -> tuple[Array, Array]:
-    q, u = jnp.asarray(q), jnp.asarray(u)
-    if u.shape[0] == system.speeds and system.auxiliary:
-        u = jnp.concatenate([u, jnp.zeros(system.auxiliary, u.dtype)])
-    return q, u
-
-
-def _moving(velocity, t, q, u, q_dot):
-    """A velocity, its derivative by the speeds, its rate while they are constant."""
-    V = jax.jacfwd(lambda u: velocity(t, q, u))(u)
-    along = lambda t, q: velocity(t, q, u)
-    v, bias = jax.jvp(along, (t, q), (jnp.ones_like(t), q_dot))
-    return v, V, bias
-
-
-def _regular(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """NaN where the constraints do not determine the dependent speeds."""
-    pivot = jnp.abs(jnp.linalg.det(C))
+def _inverse(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
+    """Inverse; NaN where the constraints do not determine the dependent speeds."""
+    size = C.shape[0]
     scale = jnp.prod(jnp.sqrt(jnp.sum(C * C, axis=1)))
-    return jnp.where(pivot > _SINGULAR * scale, C, jnp.nan)
-
-
-def refuse_singular(system: KaneSystem, t, state: KaneState) -> None:
-    """Refuse a state at which the equations do not determine the motion, and say why.
-
-    Args:
-        system: The system.
-        t: Time [s].
-        state: Coordinates and independent speeds.
-
-    Raises:
-        FieldError: kinematics that are not finite, constraints that depend on each
-            other, a mass matrix that is not positive definite. Nothing is said of
-            numbers that are still traced.
-    """
-    if is_traced(system, t, state):
-        return
-    t = as_float(t)
-    where = f" at t = {float(t):g}, q = {np.asarray(state.q).tolist()}"
-    speeds = all_speeds(system, t, state.q, state.u)
-    if not np.isfinite(speeds.u).all():
-        raise FieldError(
-            "KaneSystem.constraints",
-            system.dependent,
-            "do not determine the dependent speeds" + where,
-            "choose other dependent speeds, or leave out constraints that follow from "
-            "others",
-        )
-    equations = kane_equations(system, t, state.q, speeds.u)
-    if not np.isfinite(equations.q_dot).all():
-        raise FieldError(
-            "KaneSystem.kinematics",
-            np.asarray(equations.q_dot),
-            "are singular" + where,
-            "choose other coordinates (Euler parameters have no singular place)",
-        )
-    M = np.asarray(speeds.T.T @ equations.mass_matrix @ speeds.T)
-    moments = np.linalg.eigvalsh(M) if np.isfinite(M).all() else np.array([np.nan])
-    if not moments[0] > _SINGULAR * abs(moments[-1]):
-        raise FieldError(
-            "KaneSystem.parts",
-            M,
-            "make a mass matrix that is not positive definite" + where,
-            "let every independent speed move a mass",
-        )
+    if size <= 3:  # by cofactors: a tenth of the time of a call to LAPACK
+        a = jnp.zeros((3, 3), C.dtype).at[:size, :size].set(C)
+        a = a + jnp.diag(jnp.asarray([0.0] * size + [1.0] * (3 - size), C.dtype))
+        cofactors = jnp.stack([cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])])
+        det = jnp.sum(a[0] * cofactors[0])
+        inverse = cofactors.T[:size, :size] / det
+    else:
+        det, inverse = jnp.linalg.det(jax.lax.stop_gradient(C)), jnp.linalg.inv(C)
+    return jnp.where(jnp.abs(det) > SINGULAR * scale, inverse, jnp.nan)

@@ -1,28 +1,46 @@
 """Small motions about a state: dense matrices by automatic differentiation."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .equations import as_float, kane_derivative
+from ..checks import FieldError, is_traced
+from ..one_call import for_one_call
+from .equations import as_float, reduced
+from .refusals import curvature, refuse
 from .system import KaneState, KaneSystem
 
 
 class Linearization(NamedTuple):
-    """``x' = f + A (x - x0)``; x holds independent coordinates, then speeds.
+    """``x' = f + A (x - x0) + B (r - r0)``; x holds coordinates, then speeds.
 
     Attributes:
-        A: Shape (n + m, n + m).
-        f: Rates at the state itself, shape (n + m,): zero at an equilibrium.
+        A: Shape (x, x), [1/s] between like quantities.
+        B: By the inputs r, shape (x, r), [unit of x per s and unit of r]; r is empty where
+            none were named.
+        f: Rates at the state itself [unit of x / s], shape (x,): zero at an
+            equilibrium.
     """
 
     A: Float[Array, "x x"]
+    B: Float[Array, "x r"]
     f: Float[Array, " x"]
 
 
-def linearize(system: KaneSystem, t, state: KaneState, q_ind=None) -> Linearization:
+def linearize(
+    system: KaneSystem,
+    t,
+    state: KaneState,
+    q_ind=None,
+    u_ind=None,
+    inputs: Callable | None = None,
+) -> Linearization:
     """Linearize a system about a state.
 
     Dependent speeds are eliminated by the velocity constraints; dependent coordinates
@@ -33,33 +51,76 @@ def linearize(system: KaneSystem, t, state: KaneState, q_ind=None) -> Linearizat
         t: Time [s].
         state: Coordinates and independent speeds.
         q_ind: Numbers of the coordinates whose rows and columns are wanted; left out,
-            all independent ones.
+            all independent ones. The others are held.
+        u_ind: Numbers of the speeds, likewise.
+        inputs: ``inputs(parameters)`` -> those that are inputs r, a tree of numbers;
+            left out, none.
+
+    Raises:
+        FieldError: dependent ones among the chosen, or inputs without parameters; what
+            ``simulate`` refuses of a state.
 
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
     """
     t = as_float(t)
-    chosen = system.independent_coordinates if q_ind is None else tuple(q_ind)
-    free = jnp.asarray(chosen, int)
-    every = jnp.asarray(system.independent_coordinates, int)
+    free = _chosen("q_ind", q_ind, system.independent_coordinates)
+    moving = _chosen("u_ind", u_ind, system.independent)
+    if inputs is not None and system.parameters is None:
+        raise FieldError(
+            "linearize.inputs",
+            inputs,
+            "has no parameters to choose from",
+            "give KaneSystem(parameters=...) and let the loads depend on them",
+        )
+    found, equations, curved = _linearized(system, t, state, free, moving, inputs)
+    if not is_traced(found):
+        refuse(system, t, state, equations, curved)
+    return found
 
-    def rates(x):
-        moved = x[: free.shape[0]], x[free.shape[0] :]
-        shift = jnp.zeros_like(state.q).at[free].set(moved[0])
-        q = state.q + _followed(system, t, state.q, shift, every)
-        dot = kane_derivative(system, t, KaneState(q, state.u + moved[1]))
-        return jnp.concatenate([dot.q[free], dot.u])
 
-    origin = jnp.zeros(free.shape[0] + state.u.shape[0], state.q.dtype)
-    return Linearization(jax.jacfwd(rates)(origin), rates(origin))
+@for_one_call
+def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs):
+    n = len(free)
+    free = np.asarray(free, int)
+    places = np.asarray([system.independent.index(k) for k in moving], int)
+    where = lambda system: () if inputs is None else inputs(system.parameters)
+    r, unravel = ravel_pytree(where(system))
+    x = jnp.zeros(n + places.shape[0], state.q.dtype)
+
+    def rates(x, r):
+        shift = jnp.zeros_like(state.q).at[free].set(x[:n])
+        q = state.q + _followed(system, t, state.q, shift)
+        u = state.u.at[places].add(x[n:])
+        changed = eqx.tree_at(where, system, unravel(r)) if inputs else system
+        equations = reduced(changed, t, KaneState(q, u))
+        dot = equations.rates()
+        value = jnp.concatenate([dot.q[free], dot.u[places]])
+        return value, (value, equations)
+
+    derivatives = jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, r)
+    (A, B), (f, equations) = derivatives
+    return Linearization(A, B, f), equations, curvature(system, t, state)
 
 
-def _followed(system, t, q, shift, free) -> Float[Array, " n"]:
+def _chosen(name: str, numbers, independent: tuple[int, ...]) -> tuple[int, ...]:
+    chosen = independent if numbers is None else tuple(numbers)
+    if not set(chosen) <= set(independent):
+        raise FieldError(
+            f"linearize.{name}",
+            numbers,
+            "names dependent ones, or such as there are not",
+            f"choose among {independent}",
+        )
+    return chosen
+
+
+def _followed(system: KaneSystem, t, q, shift) -> Float[Array, " n"]:
     """A shift of the independent coordinates, and of the dependent ones with it."""
-    if system.configuration is None:
+    configuration = system.configuration
+    if configuration is None:
         return shift
     bound = jnp.asarray(system.dependent_coordinates, int)
     rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
-    F = jax.jacfwd(lambda q: system.configuration(t, q, rest))(q)
-    step = -jnp.linalg.solve(F[:, bound], F[:, free] @ shift[free])
-    return shift.at[bound].set(step)
+    F = jax.jacfwd(lambda q: system.at(configuration, t, q, rest))(q)
+    return shift.at[bound].set(-jnp.linalg.solve(F[:, bound], F @ shift))

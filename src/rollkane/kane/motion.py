@@ -16,8 +16,8 @@ from .equations import (
     kane_derivative,
     kinetic_energy,
     reactions,
-    refuse_singular,
 )
+from .refusals import refuse_singular
 from .system import KaneState, KaneSystem
 
 
@@ -53,7 +53,7 @@ class KaneTrajectory(eqx.Module):
     @property
     def u(self) -> Float[Array, "T m"]:
         """All generalized speeds, dependent ones included, shape (T, m)."""
-        return _each(_speeds, self.system, self.time, self.state)
+        return _each(all_speeds, self.system, self.time, self.state)
 
     @property
     def kinetic_energy(self) -> Float[Array, " T"]:
@@ -141,10 +141,6 @@ def simulate(
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
     )
-
-
-def _speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
-    return all_speeds(system, t, state.q, state.u).u[: system.speeds]
 
 
 def _quickness(state: KaneState) -> Float[Array, " m"]:

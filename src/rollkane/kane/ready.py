@@ -6,11 +6,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .system import KaneSystem, Load, RigidBody
+from ..checks import FieldError
+from ..rotations import about_axis
+from .system import KaneState, KaneSystem, Load, RigidBody
 
 
 def euler_parameters_to_rotation(e: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """Body to fixed axes [1] from Euler parameters, SCALAR LAST.
+    """Body to fixed axes [1] from Euler parameters.
+
+    Args:
+        e: Euler parameters [1], SCALAR LAST, shape (4,).
 
     Source: [B], the transpose of [R]; theory, section 8a.
     """
@@ -154,3 +159,97 @@ def babyboot(
     ]
     loads = [Load(rod, weight(rod_mass)), Load(plate, weight(plate_mass))]
     return KaneSystem(2, 2, lambda t, q, u: u, parts, loads)
+
+
+DISC_SPEEDS = ("coordinate rates", "lean axes", "body axes")
+
+
+def rolling_disc(
+    mass, radius, moments, speeds: str = "coordinate rates", gravity=9.81
+) -> KaneSystem:
+    """A thin disc that rolls on a plane, by one of three choices of speeds.
+
+    q = (x, y of the contact point [m], heading, lean, spin about the axle [rad]); the
+    disc stands upright at lean 0 and lies flat at pi/2. u [rad/s] is
+
+    * ``"coordinate rates"``: heading', lean', spin';
+    * ``"lean axes"``: angular velocity along the path, the axle, and the radius away
+      from the contact;
+    * ``"body axes"``: angular velocity on axes fixed in the disc, the second its axle.
+
+    Args:
+        mass: [kg].
+        radius: [m].
+        moments: About a diameter and about the axle [kg m^2], shape (2,).
+        speeds: One of ``DISC_SPEEDS``.
+        gravity: [m/s^2].
+
+    Raises:
+        FieldError: another choice of speeds.
+    """
+    _known_speeds("rolling_disc.speeds", speeds)
+    across, along = moments
+
+    def rates(q, u):
+        """Heading', lean', spin'; singular where the disc lies flat."""
+        if speeds == "coordinate rates":
+            return u
+        path, axle, radial = u if speeds == "lean axes" else about_axis(1, q[4]) @ u
+        heading = radial / jnp.cos(q[3])
+        return jnp.stack([heading, path, axle - heading * jnp.sin(q[3])])
+
+    def on_lean_axes(q, u):
+        if speeds == "body axes":
+            return about_axis(1, q[4]) @ u
+        return u if speeds == "lean axes" else _on_lean_axes(q, u)
+
+    def kinematics(t, q, u):
+        turned = rates(q, u)
+        path = radius * turned[2] * jnp.stack([jnp.cos(q[2]), jnp.sin(q[2])])
+        return jnp.concatenate([path, turned])
+
+    def spin(t, q, u):
+        return about_axis(1, q[4]).T @ on_lean_axes(q, u)
+
+    def velocity(t, q, u):
+        w = on_lean_axes(q, u)
+        to_fixed = about_axis(2, q[2]) @ about_axis(0, q[3])
+        return to_fixed @ (radius * jnp.stack([w[1], -w[0], 0.0 * w[2]]))
+
+    inertia = np.diag([across, along, across])
+    weight = lambda t, q, u: mass * gravity * jnp.array([0.0, 0.0, -1.0])
+    part = RigidBody(mass, inertia, velocity, spin)
+    return KaneSystem(5, 3, kinematics, [part], [Load(velocity, weight)])
+
+
+def disc_state(q, rates, speeds: str = "coordinate rates") -> KaneState:
+    """A state of ``rolling_disc`` from its coordinates and their rates.
+
+    Args:
+        q: x, y of the contact point [m], heading, lean, spin [rad].
+        rates: heading', lean', spin' [rad/s].
+        speeds: One of ``DISC_SPEEDS``.
+
+    Raises:
+        FieldError: another choice of speeds.
+    """
+    _known_speeds("disc_state.speeds", speeds)
+    q, u = jnp.asarray(q, float), jnp.asarray(rates, float)
+    if speeds != "coordinate rates":
+        u = _on_lean_axes(q, u)
+    if speeds == "body axes":
+        u = about_axis(1, q[4]).T @ u
+    return KaneState(q, u)
+
+
+def _on_lean_axes(q, rates) -> Float[Array, "3"]:
+    heading, lean, spin = rates
+    along = heading * jnp.sin(q[3])
+    return jnp.stack([lean, spin + along, heading * jnp.cos(q[3])])
+
+
+def _known_speeds(field: str, speeds: str) -> None:
+    if speeds not in DISC_SPEEDS:
+        raise FieldError(
+            field, speeds, "is no choice of speeds", f"take one of {DISC_SPEEDS}"
+        )

@@ -5,17 +5,19 @@ are carried: velocities of mass centres are written down, Kane's method does the
 """
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..contact import Contact
 from ..coordinates import State, pack, unpack
 from ..loads import AbstractLoad
 from ..rolling import contact_of, field_of, generalized_force, shares
 from ..scene import Scene
 from ..small_linear import cross
-from ..supported import Prescribed
+from ..supported import Carried
 from .system import KaneState, KaneSystem, Load, Particle, RigidBody
 
 
@@ -26,33 +28,38 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
     [rad/s], BODY axes, then alpha' (``kane_state``).
 
     Args:
-        scene: What rolls on what, carrying what.
+        scene: What rolls on what, carrying what; the system's parameters.
         like: A state of the scene, for the sizes of its coordinates.
         reactions: Whether the contact point gets three auxiliary velocities along the
             FIXED axes, whose reactions are the contact force [N].
 
     Source: theory, sections 4 and 8a.
     """
-    view = _View(scene, _places(like), scene.coordinate_count, reactions)
-    parts: list[Any] = [
-        RigidBody(scene.body.mass, scene.body.inertia, view.of_body, view.spin)
-    ]
-    for k in range(len(scene.supported)):
-        parts += view.carried_parts(k)
-    springs = view.springs if scene.coordinate_count else None
+    count = scene.coordinate_count
+    shared = _Shared(_places(like), reactions)
+    parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]
+    carried = _carried(scene, jnp.zeros((), like.alpha.dtype), like)
+    for k, part in enumerate(carried):
+        parts += _carried_parts(k, part)
     return KaneSystem(
-        pack(view.places).shape[0],
-        3 + view.n,
-        view.kinematics,
+        pack(shared.places).shape[0],
+        3 + count,
+        _kinematics,
         parts,
-        view.loads(parts),
+        _loads(scene, parts),
         auxiliary=3 * reactions,
-        generalized_forces=springs,
+        generalized_forces=_springs if count else None,
+        parameters=scene,
+        shared=shared,
     )
 
 
 def kane_state(state: State) -> KaneState:
-    """A state of a rolling body as one of its Kane system."""
+    """A state of a rolling body as one of its Kane system.
+
+    Args:
+        state: In pole-free coordinates; angular velocity on BODY axes [rad/s].
+    """
     u = jnp.concatenate([state.angular_velocity, state.alpha_dot])
     return KaneState(pack(_places(state)), u)
 
@@ -63,113 +70,152 @@ def _places(state: State) -> State:
     return dataclasses.replace(state, angular_velocity=none, alpha_dot=none)
 
 
-class _View:
-    """A scene's velocities as functions of (t, q, u)."""
+def _carried(scene: Scene, t, state: State) -> list[Carried]:
+    """Every carried part."""
+    listed = shares(scene.supported, state.alpha, state.alpha_dot)
+    return [part.carried(t, *moved) for part, *moved in listed]
 
-    def __init__(self, scene: Scene, places: State, n: int, reactions: bool):
-        self.scene, self.places, self.n, self.reactions = scene, places, n, reactions
 
-    def state(self, q, u) -> State:
-        spins, rates = u[:3], u[3 : 3 + self.n]
-        places = unpack(q, self.places)
-        return dataclasses.replace(places, angular_velocity=spins, alpha_dot=rates)
+class _Instant(NamedTuple):
+    """What the functions of a rolling scene share.
 
-    def contact(self, t, q, u):
-        return contact_of(self.scene, t, self.state(q, u))
+    ``at_contact``: velocity of the material points at the contact [m/s], FIXED axes.
+    """
 
-    def kinematics(self, t, q, u):
-        state = self.state(q, u)
-        spins, rates = jnp.zeros(3, q.dtype), jnp.zeros(self.n, q.dtype)
-        return pack(_places(state.rates(self.contact(t, q, u), spins, rates)))
+    scene: Scene
+    state: State
+    contact: Contact
+    at_contact: Array
+    carried: list[Carried]
 
-    def spin(self, t, q, u):
-        return u[:3]
 
-    def at_contact(self, t, q, u):
-        """Velocity of the material points at the contact [m/s], fixed axes."""
-        contact = self.contact(t, q, u)
+class _Shared(eqx.Module):
+    """The contact and what is carried, from (t, q, u).
+
+    Modules, not closures: systems of the same kind of scene share one compilation.
+    """
+
+    places: State
+    reactions: bool = eqx.field(static=True)
+
+    def __call__(self, t, q, u, scene: Scene) -> _Instant:
+        end = 3 + scene.coordinate_count
+        state = dataclasses.replace(
+            unpack(q, self.places), angular_velocity=u[:3], alpha_dot=u[3:end]
+        )
+        contact = contact_of(scene, t, state)
         v = jnp.zeros(3, q.dtype)
         if contact.base_velocity is not None:
             v = contact.rotation @ contact.base_velocity
-        return v + u[3 + self.n :] if self.reactions else v
-
-    def of_point(self, t, q, u, place, velocity=None):
-        """Velocity of a point of the body, or one that moves in it, fixed axes."""
-        contact = self.contact(t, q, u)
-        v = cross(u[:3], place - contact.body_point)
-        v = v if velocity is None else v + velocity
-        return self.at_contact(t, q, u) + contact.rotation @ v
-
-    def of_body(self, t, q, u):
-        return self.of_point(t, q, u, self.scene.body.center_of_mass)
-
-    def carried(self, k: int, t, q, u):
-        state = self.state(q, u)
-        listed = shares(self.scene.supported, state.alpha, state.alpha_dot)
-        part, alpha, rates = list(listed)[k]
-        return part.carried(t, alpha, rates)
-
-    def carried_parts(self, k: int) -> list[Particle | RigidBody]:
-        """The masses of one supported part."""
-        supported = self.scene.supported[k]
-        own: Any = (
-            supported.supported if isinstance(supported, Prescribed) else supported
-        )
-        q = pack(self.places)
-        rest = jnp.zeros(3 + self.n + 3 * self.reactions, q.dtype)
-        now = self.carried(k, jnp.zeros((), q.dtype), q, rest)
-
-        def velocity_of(i):
-            def velocity(t, q, u):
-                part = self.carried(k, t, q, u)
-                return self.of_point(t, q, u, part.place[:, i], part.velocity[:, i])
-
-            return velocity
-
-        def turning(t, q, u):
-            part = self.carried(k, t, q, u).turning
-            assert part is not None
-            return part.rotation.T @ (u[:3] + part.velocity)
-
-        if now.turning is not None:
-            return [RigidBody(now.mass[0], own.inertia, velocity_of(0), turning)]
-        return [Particle(now.mass[i], velocity_of(i)) for i in range(now.mass.shape[0])]
-
-    def loads(self, parts) -> list[Load]:
-        """Fields on every part, wrenches on the body at the contact point."""
-        found = []
-        field = field_of(self.scene.loads)
-        if field is not None:
-            found += [Load(p.velocity, _constant(p.mass * field)) for p in parts]
-        for load in self.scene.loads:
-            if type(load).wrench is not AbstractLoad.wrench:
-                found += [
-                    Load(self.at_contact, self._wrench(load, 0)),
-                    Load(self.spin, self._wrench(load, 1)),
-                ]
-        return found
-
-    def _wrench(self, load, which: int):
-        """Force on fixed axes, or moment about the contact point on body axes."""
-
-        def value(t, q, u):
-            contact = self.contact(t, q, u)
-            wrench = load.wrench(t, self.scene.body, contact)[which]
-            return wrench if which else contact.rotation @ wrench
-
-        return value
-
-    def springs(self, t, q, u) -> Array:
-        """``Q_s`` of the coordinates; nothing for the body and the reactions."""
-        state = self.state(q, u)
-        forces = [jnp.zeros(3, q.dtype)]
-        listed = shares(self.scene.supported, state.alpha, state.alpha_dot)
-        for part, alpha, rates in listed:
-            own = generalized_force(part, t, alpha, rates)
-            still = jnp.zeros(part.count, q.dtype)
-            forces.append(still if own is None else jnp.stack(own))
-        return jnp.concatenate([*forces, jnp.zeros(3 * self.reactions, q.dtype)])
+        if self.reactions:
+            v = v + u[end:]
+        return _Instant(scene, state, contact, v, _carried(scene, t, state))
 
 
-def _constant(vector):
-    return lambda t, q, u: vector
+def _kinematics(t, q, u, now: _Instant):
+    rest = jnp.zeros_like(now.state.angular_velocity)
+    rates = now.state.rates(now.contact, rest, jnp.zeros_like(now.state.alpha_dot))
+    return pack(_places(rates))
+
+
+def _spin(t, q, u, now: _Instant):
+    return u[:3]
+
+
+def _of_contact(t, q, u, now: _Instant):
+    return now.at_contact
+
+
+def _of_body(t, q, u, now: _Instant):
+    return _of_point(u, now, now.scene.body.center_of_mass)
+
+
+def _of_point(u, now: _Instant, place, velocity=None):
+    """Velocity of a point of the body, or one that moves in it, fixed axes."""
+    v = cross(u[:3], place - now.contact.body_point)
+    v = v if velocity is None else v + velocity
+    return now.at_contact + now.contact.rotation @ v
+
+
+def _carried_parts(k: int, carried: Carried) -> list[Particle | RigidBody]:
+    """The masses of the k-th supported part."""
+    masses, turning = carried.mass, carried.turning
+    if turning is None:
+        return [Particle(masses[i], _OfCarried(k, i)) for i in range(masses.shape[0])]
+    inertia = turning.rotation.T @ turning.inertia @ turning.rotation
+    return [RigidBody(masses[0], inertia, _OfCarried(k, 0), _CarriedSpin(k))]
+
+
+class _OfCarried(eqx.Module):
+    """Velocity of the i-th mass of the k-th part."""
+
+    k: int = eqx.field(static=True)
+    i: int = eqx.field(static=True)
+
+    def __call__(self, t, q, u, now: _Instant):
+        carried = now.carried[self.k]
+        return _of_point(u, now, carried.place[:, self.i], carried.velocity[:, self.i])
+
+
+class _CarriedSpin(eqx.Module):
+    """Angular velocity of the k-th part, on its own axes."""
+
+    k: int = eqx.field(static=True)
+
+    def __call__(self, t, q, u, now: _Instant):
+        turning: Any = now.carried[self.k].turning
+        return turning.rotation.T @ (u[:3] + turning.velocity)
+
+
+def _loads(scene: Scene, parts) -> list[Load]:
+    """Fields on every part, wrenches on the body at the contact point."""
+    found = []
+    if field_of(scene.loads) is not None:
+        found += [Load(part.velocity, _Weight(part.mass)) for part in parts]
+    for k, load in enumerate(scene.loads):
+        if type(load).wrench is not AbstractLoad.wrench:
+            found += [Load(_of_contact, _Force(k)), Load(_spin, _Moment(k))]
+    return found
+
+
+class _Weight(eqx.Module):
+    """Of a mass, fixed axes."""
+
+    mass: Array
+
+    def __call__(self, t, q, u, now: _Instant):
+        field: Any = field_of(now.scene.loads)
+        return self.mass * field
+
+
+class _Force(eqx.Module):
+    """Of the k-th load on the body, fixed axes."""
+
+    k: int = eqx.field(static=True)
+
+    def __call__(self, t, q, u, now: _Instant):
+        return now.contact.rotation @ _wrench(t, now, self.k)[0]
+
+
+class _Moment(eqx.Module):
+    """Of the k-th load about the contact point, body axes."""
+
+    k: int = eqx.field(static=True)
+
+    def __call__(self, t, q, u, now: _Instant):
+        return _wrench(t, now, self.k)[1]
+
+
+def _wrench(t, now: _Instant, k: int) -> Any:
+    return now.scene.loads[k].wrench(t, now.scene.body, now.contact)
+
+
+def _springs(t, q, u, now: _Instant):
+    """``Q_s`` of the coordinates; nothing for the body and the reactions."""
+    scene, state = now.scene, now.state
+    forces = [jnp.zeros(3, q.dtype)]
+    for part, alpha, rates in shares(scene.supported, state.alpha, state.alpha_dot):
+        own = generalized_force(part, t, alpha, rates)
+        forces.append(jnp.zeros_like(alpha) if own is None else jnp.stack(own))
+    others = u.shape[0] - 3 - state.alpha.shape[0]
+    return jnp.concatenate([*forces, jnp.zeros(others, q.dtype)])

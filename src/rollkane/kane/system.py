@@ -1,7 +1,8 @@
 """A mechanical system in the terms of Kane's method: coordinates, speeds, parts, loads.
 
 Every function of the user's takes ``(t, q, u)``, then the parameters if it wants them:
-time [s], generalized coordinates and generalized speeds. Velocities are affine in the
+time [s], generalized coordinates and generalized speeds; it returns an array, or a
+list of numbers. Velocities are affine in the
 speeds; nothing is derived by hand, partial velocities and accelerations are theirs.
 """
 
@@ -9,28 +10,31 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..bodies import checked_inertia
-from ..checks import FieldError, positive
-from ..user_function import UserFunction, accepts, check_output
+from ..checks import FieldError, is_traced, positive
+from ..user_function import accepts
 
 
 class MotionFunction(eqx.Module):
     """A user's function of ``(t, q, u)`` with a value of known shape."""
 
-    function: UserFunction
+    _arrays: Any
+    _fixed: Any = eqx.field(static=True)
+    _takes_more: bool = eqx.field(static=True)
 
-    def __init__(self, field: str, function: Callable, shape, sizes, parameters: Any):
+    def __init__(self, field: str, function: Callable, shape, example: tuple):
         """Wrap it; refused if it does not give ``shape``.
 
         Args:
             field: Name used in errors.
             function: The user's.
-            shape: Of its value.
-            sizes: Number of coordinates and of speeds.
-            parameters: Tree of numbers that it depends on, or None.
+            shape: Of its value; None for anything.
+            example: Arguments of the right shapes: t, q, u, and the parameters (or
+                what ``shared`` makes of them).
 
         Raises:
             FieldError: no function, or one of another shape or signature.
@@ -42,43 +46,36 @@ class MotionFunction(eqx.Module):
                 "must be a function",
                 "give a function of (t, q, u), and of the parameters if it needs them",
             )
-        takes = parameters is not None and accepts(function, 4)
-        if not takes and not accepts(function, 3):
+        self._takes_more = accepts(function, 4)
+        if not self._takes_more and not accepts(function, 3):
             raise FieldError(
                 field,
                 function,
                 "has a signature that does not fit",
                 "let it take (t, q, u), and then the parameters if there are any",
             )
-        coordinates, speeds = sizes
-        spread = _Spread(function, coordinates, speeds, takes)
-        count = 1 + sum(sizes)
-        own = parameters if takes else None
-        self.function = UserFunction(field, spread, count, own, of_array=True)
-        check_output(field, self.function, jnp.zeros(count), shape)
+        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
+        remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
+        try:
+            program, value, _ = eqx.filter_make_jaxpr(self.__call__)(*example)
+        except Exception as error:
+            problem = f"cannot be traced by JAX ({error})"
+            raise FieldError(field, function, problem, remedy) from error
+        if shape is not None and getattr(value, "shape", None) != shape:
+            found = jax.tree.map(jnp.shape, value)
+            raise FieldError(field, function, f"returns shape {found}", remedy)
+        if is_traced(*program.consts):
+            # a closure would hide a traced number from differentiation
+            closed = eqx.filter_closure_convert(self.__call__, *example)
+            self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
+            self._takes_more = True
 
-    def __call__(self, t, q, u) -> Array:
+    def __call__(self, t, q, u, more) -> Any:
         """Its value."""
-        return self.function(jnp.concatenate([jnp.reshape(t, (1,)), q, u]))
-
-
-class _Spread(eqx.Module):
-    """A function of (t, q, u) as one of a single array."""
-
-    function: Any
-    n: int = eqx.field(static=True)
-    m: int = eqx.field(static=True)
-    takes: bool = eqx.field(static=True)
-
-    @property
-    def __name__(self) -> str:
-        return getattr(self.function, "__name__", type(self.function).__name__)
-
-    def __call__(self, x, parameters=None):
-        extra = (parameters,) if self.takes else ()
-        value = self.function(x[0], x[1 : 1 + self.n], x[1 + self.n :], *extra)
-        if isinstance(value, (tuple, list)):
-            value = jnp.stack([jnp.asarray(v, x.dtype) for v in value])
+        function = eqx.combine(self._arrays, self._fixed)
+        value = function(t, q, u, more) if self._takes_more else function(t, q, u)
+        if isinstance(value, list):
+            value = jnp.stack([jnp.asarray(v, q.dtype) for v in value])
         return value
 
 
@@ -147,6 +144,8 @@ class KaneSystem(eqx.Module):
         dependent_coordinates: Which coordinates the configuration constraints do.
         auxiliary: How many speeds at the end are auxiliary: they are zero, and their
             equations give the reactions against them.
+        parameters: Numbers that the functions depend on.
+        shared: What several functions need, evaluated once; None for none.
     """
 
     kinematics: MotionFunction
@@ -155,6 +154,8 @@ class KaneSystem(eqx.Module):
     generalized_forces: MotionFunction | None
     constraints: MotionFunction | None
     configuration: MotionFunction | None
+    parameters: Any
+    shared: MotionFunction | None
     coordinates: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     dependent: tuple[int, ...] = eqx.field(static=True)
@@ -175,6 +176,7 @@ class KaneSystem(eqx.Module):
         auxiliary: int = 0,
         generalized_forces: Callable | None = None,
         parameters: Any = None,
+        shared: Callable | None = None,
     ):
         """Make a system.
 
@@ -188,8 +190,8 @@ class KaneSystem(eqx.Module):
             constraints: ``constraints(t, q, u)`` -> what has to be zero, affine in u.
             dependent: Numbers of the speeds that the constraints determine, as many as
                 there are constraints.
-            configuration: ``configuration(t, q)`` -> what has to be zero; its rate must
-                be among the constraints.
+            configuration: ``configuration(t, q, u)`` -> what has to be zero, without
+                using u; its rate must be among the constraints.
             dependent_coordinates: Numbers of the coordinates that it determines.
             auxiliary: Number of auxiliary speeds; every function gets them behind the
                 others.
@@ -197,7 +199,10 @@ class KaneSystem(eqx.Module):
                 unit of the integral of the speed], the auxiliary ones last: what is
                 easier said in coordinates than by points (springs, dampers, motors).
             parameters: Tree of numbers; given to each function that takes a fourth
-                argument. To differentiate by them, make the system inside.
+                argument (None without).
+            shared: Function of (t, q, u, parameters) -> what several of the others
+                need (rotations, a contact): evaluated once, and given to them in
+                place of the parameters.
 
         Raises:
             FieldError: shapes that do not fit, dependent speeds that are not there,
@@ -205,10 +210,17 @@ class KaneSystem(eqx.Module):
         """
         self.coordinates, self.speeds = coordinates, speeds
         self.auxiliary = auxiliary
-        sizes = (coordinates, speeds + auxiliary)
+        self.parameters = jax.tree.map(_as_float, parameters)
+        example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
+        more = self.parameters
+        self.shared = None
+        if shared is not None:
+            whole = (*example, more)
+            self.shared = MotionFunction("KaneSystem.shared", shared, None, whole)
+            more = eqx.filter_eval_shape(self.shared, *whole)
 
         def motion(field, function, shape):
-            return MotionFunction(field, function, shape, sizes, parameters)
+            return MotionFunction(field, function, shape, (*example, more))
 
         field = "KaneSystem.kinematics"
         self.kinematics = motion(field, kinematics, (coordinates,))
@@ -223,7 +235,9 @@ class KaneSystem(eqx.Module):
         self.generalized_forces = None
         if generalized_forces is not None:
             field = "KaneSystem.generalized_forces"
-            self.generalized_forces = motion(field, generalized_forces, (sizes[1],))
+            self.generalized_forces = motion(
+                field, generalized_forces, example[2].shape
+            )
         self.dependent = _chosen("dependent", dependent, speeds)
         self.constraints = _bound(
             motion, "constraints", constraints, "dependent", self.dependent
@@ -231,19 +245,23 @@ class KaneSystem(eqx.Module):
         self.dependent_coordinates = _chosen(
             "dependent_coordinates", dependent_coordinates, coordinates
         )
-        of_q = None
-        if configuration is not None:
-            given = configuration
-            of_q = lambda t, q, u, *p: given(t, q, *p)
-            if parameters is None or not accepts(given, 3):
-                of_q = lambda t, q, u: given(t, q)
         self.configuration = _bound(
             motion,
             "configuration",
-            of_q,
+            configuration,
             "dependent_coordinates",
             self.dependent_coordinates,
         )
+
+    def more(self, t, q, u) -> Any:
+        """What the functions get behind (t, q, u)."""
+        if self.shared is None:
+            return self.parameters
+        return self.shared(t, q, u, self.parameters)
+
+    def at(self, function: MotionFunction, t, q, u) -> Array:
+        """The value of one of its functions."""
+        return function(t, q, u, self.more(t, q, u))
 
     @property
     def independent(self) -> tuple[int, ...]:
@@ -261,12 +279,17 @@ class KaneState(eqx.Module):
     """State of a system.
 
     Attributes:
-        q: Generalized coordinates, shape (n,).
-        u: INDEPENDENT generalized speeds, shape (m,).
+        q: Generalized coordinates [m] or [rad], as the system has them, shape (n,).
+        u: INDEPENDENT generalized speeds [m/s] or [rad/s], shape (m,).
     """
 
     q: Float[Array, " n"]
     u: Float[Array, " m"]
+
+
+def _as_float(x: Any) -> Any:
+    number = isinstance(x, (int, float)) and not isinstance(x, bool)
+    return jnp.asarray(x, jnp.result_type(float)) if number else x
 
 
 def _checked_part(field: str, part, motion) -> Particle | RigidBody:

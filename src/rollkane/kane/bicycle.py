@@ -1,0 +1,257 @@
+"""Whipple's bicycle: rear frame with rider, front fork, two wheels, knife-edge rims.
+
+Axes as in the benchmark: x forward, y to the right, z DOWN; the rear contact is the
+origin while the bicycle stands upright and straight.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..rotations import about_axis
+from ..small_linear import cross
+from .system import KaneState, KaneSystem, Load, RigidBody
+
+LEAN_AND_STEER = (3, 5)  # coordinates, for ``linearize``
+
+
+class Bicycle(eqx.Module):
+    """Dimensions and masses; left out, those of the published benchmark.
+
+    Attributes:
+        wheel_base: w [m].
+        trail: c [m].
+        steer_tilt: lambda, of the steering axis from the vertical [rad].
+        gravity: g [m/s^2].
+        rear_radius: [m].
+        rear_mass: [kg].
+        rear_moments: Ixx, Iyy of the wheel, y along its axle [kg m^2], shape (2,).
+        frame_mass_center: x, z of frame and rider [m], shape (2,).
+        frame_mass: [kg].
+        frame_inertia: Ixx, Iyy, Izz, Ixz (entries of the matrix) [kg m^2], shape (4,).
+        fork_mass_center: x, z [m], shape (2,).
+        fork_mass: [kg].
+        fork_inertia: Ixx, Iyy, Izz, Ixz [kg m^2], shape (4,).
+        front_radius: [m].
+        front_mass: [kg].
+        front_moments: Ixx, Iyy [kg m^2], shape (2,).
+        steer_torque: Of the rider on the fork [N m], against the frame.
+
+    Source: Meijaard, Papadopoulos, Ruina and Schwab (2007), table 1.
+    """
+
+    wheel_base: Any = 1.02
+    trail: Any = 0.08
+    steer_tilt: Any = math.pi / 10.0
+    gravity: Any = 9.81
+    rear_radius: Any = 0.3
+    rear_mass: Any = 2.0
+    rear_moments: Any = (0.0603, 0.12)
+    frame_mass_center: Any = (0.3, -0.9)
+    frame_mass: Any = 85.0
+    frame_inertia: Any = (9.2, 11.0, 2.8, 2.4)
+    fork_mass_center: Any = (0.9, -0.7)
+    fork_mass: Any = 4.0
+    fork_inertia: Any = (0.05892, 0.06, 0.00708, -0.00756)
+    front_radius: Any = 0.35
+    front_mass: Any = 3.0
+    front_moments: Any = (0.1405, 0.28)
+    steer_torque: Any = 0.0
+
+
+def whipple_bicycle(bicycle: Bicycle | None = None) -> KaneSystem:
+    """A bicycle as a system: eight coordinates, six speeds, three of them dependent.
+
+    q = (x, y of the rear contact [m], yaw, lean, pitch, steer, turn of rear wheel, turn
+    of front wheel [rad]); u = rates of the last six [rad/s]. Independent speeds: lean,
+    steer, rear wheel (forward is NEGATIVE); pitch is the dependent coordinate. Lean and
+    steer are positive to the right.
+
+    Args:
+        bicycle: Dimensions and masses, the system's parameters; None for the benchmark.
+    """
+    bicycle = Bicycle() if bicycle is None else bicycle
+    rear, front = bicycle.rear_moments, bicycle.front_moments
+    parts = [
+        RigidBody(bicycle.rear_mass, _of_wheel(rear), _rear, _rear_spin),
+        RigidBody(
+            bicycle.frame_mass, _matrix(bicycle.frame_inertia), _frame, _frame_spin
+        ),
+        RigidBody(bicycle.fork_mass, _matrix(bicycle.fork_inertia), _fork, _fork_spin),
+        RigidBody(bicycle.front_mass, _of_wheel(front), _front, _front_spin),
+    ]
+    weights = [Load(part.velocity, _Weight(part.mass)) for part in parts]
+    return KaneSystem(
+        8,
+        6,
+        _kinematics,
+        parts,
+        [*weights, Load(_steering, _steer_torque)],
+        constraints=_front_slip,
+        dependent=(0, 2, 5),
+        configuration=_front_height,
+        dependent_coordinates=(4,),
+        parameters=bicycle,
+        shared=_posture,
+    )
+
+
+def bicycle_state(speed, bicycle: Bicycle | None = None) -> KaneState:
+    """A bicycle that goes straight and upright.
+
+    Args:
+        speed: Forward [m/s].
+        bicycle: Its dimensions; None for the benchmark.
+    """
+    bicycle = Bicycle() if bicycle is None else bicycle
+    wheel = -jnp.asarray(speed, float) / bicycle.rear_radius
+    still = jnp.zeros_like(wheel)
+    return KaneState(jnp.zeros(8, wheel.dtype), jnp.stack([still, still, wheel]))
+
+
+class _Posture(NamedTuple):
+    """What the parts share; vectors on FIXED axes, their points from the rear contact.
+
+    ``frame``, ``fork``: rotations to fixed axes. ``*_spin``: angular velocities.
+    ``rear``, ``head``, ``front``: rear axle, foot of the steering axis, front axle.
+    ``touching``: front contact.
+    """
+
+    bicycle: Bicycle
+    frame: Float[Array, "3 3"]
+    fork: Float[Array, "3 3"]
+    steer_axis: Float[Array, "3"]
+    frame_spin: Float[Array, "3"]
+    fork_spin: Float[Array, "3"]
+    rear_spin: Float[Array, "3"]
+    front_spin: Float[Array, "3"]
+    rear: Float[Array, "3"]
+    head: Float[Array, "3"]
+    front: Float[Array, "3"]
+    touching: Float[Array, "3"]
+
+
+def _posture(t, q, u, bicycle: Bicycle) -> _Posture:
+    w, c, tilt = bicycle.wheel_base, bicycle.trail, bicycle.steer_tilt
+    r_rear, r_front = bicycle.rear_radius, bicycle.front_radius
+    down = jnp.array([0.0, 0.0, 1.0], q.dtype)
+    heading = about_axis(2, q[2])
+    lean = heading @ about_axis(0, q[3])
+    frame = lean @ about_axis(1, q[4])
+    tilted = about_axis(1, tilt)  # the steering axis is its z
+    fork = frame @ tilted @ about_axis(2, q[5]) @ tilted.T
+    axis = (frame @ tilted)[:, 2]
+    path, axle = heading[:, 0], lean[:, 1]
+    frame_spin = u[0] * down + u[1] * path + u[2] * axle
+    fork_spin = frame_spin + u[3] * axis
+    rear = -r_rear * lean[:, 2]
+    head = rear + frame @ _vector(w + c, r_rear)
+    front = head + fork @ _vector(-c, -r_front)
+    front_axle = fork[:, 1]
+    in_wheel = down - front_axle[2] * front_axle
+    return _Posture(
+        bicycle,
+        frame,
+        fork,
+        axis,
+        frame_spin,
+        fork_spin,
+        frame_spin + u[4] * axle,
+        fork_spin + u[5] * front_axle,
+        rear,
+        head,
+        front,
+        front + r_front * in_wheel / jnp.sqrt(jnp.sum(in_wheel * in_wheel)),
+    )
+
+
+def _kinematics(t, q, u, now: _Posture):
+    forward = -now.bicycle.rear_radius * (u[2] + u[4])
+    return jnp.concatenate(
+        [jnp.stack([forward * jnp.cos(q[2]), forward * jnp.sin(q[2])]), u]
+    )
+
+
+def _rear(t, q, u, now: _Posture):
+    return cross(now.rear_spin, now.rear)
+
+
+def _frame(t, q, u, now: _Posture):
+    x, z = now.bicycle.frame_mass_center
+    place = now.frame @ _vector(x, z + now.bicycle.rear_radius)
+    return _rear(t, q, u, now) + cross(now.frame_spin, place)
+
+
+def _head(t, q, u, now: _Posture):
+    return _rear(t, q, u, now) + cross(now.frame_spin, now.head - now.rear)
+
+
+def _fork(t, q, u, now: _Posture):
+    x, z = now.bicycle.fork_mass_center
+    foot = now.bicycle.wheel_base + now.bicycle.trail
+    place = now.fork @ _vector(x - foot, z)
+    return _head(t, q, u, now) + cross(now.fork_spin, place)
+
+
+def _front(t, q, u, now: _Posture):
+    return _head(t, q, u, now) + cross(now.fork_spin, now.front - now.head)
+
+
+def _front_slip(t, q, u, now: _Posture):
+    """Velocity of the front wheel's point at the ground: zero."""
+    return _front(t, q, u, now) + cross(now.front_spin, now.touching - now.front)
+
+
+def _front_height(t, q, u, now: _Posture):
+    return now.touching[2:]
+
+
+def _rear_spin(t, q, u, now: _Posture):
+    return (now.frame @ about_axis(1, q[6])).T @ now.rear_spin
+
+
+def _frame_spin(t, q, u, now: _Posture):
+    return now.frame.T @ now.frame_spin
+
+
+def _fork_spin(t, q, u, now: _Posture):
+    return now.fork.T @ now.fork_spin
+
+
+def _front_spin(t, q, u, now: _Posture):
+    return (now.fork @ about_axis(1, q[7])).T @ now.front_spin
+
+
+def _steering(t, q, u, now: _Posture):
+    """Angular velocity of the fork against the frame."""
+    return u[3] * now.steer_axis
+
+
+def _steer_torque(t, q, u, now: _Posture):
+    return now.bicycle.steer_torque * now.steer_axis
+
+
+class _Weight(eqx.Module):
+    mass: Any
+
+    def __call__(self, t, q, u, now: _Posture):
+        return self.mass * _vector(0.0, now.bicycle.gravity)
+
+
+def _vector(x, z) -> Float[Array, "3"]:
+    """In the plane of symmetry."""
+    return jnp.stack([jnp.asarray(a, float) for a in (x, 0.0, z)])
+
+
+def _of_wheel(moments) -> Float[Array, "3 3"]:
+    return _matrix((moments[0], moments[1], moments[0], 0.0))
+
+
+def _matrix(entries) -> Float[Array, "3 3"]:
+    xx, yy, zz, xz = (jnp.asarray(entries[k], float) for k in range(4))
+    o = jnp.zeros_like(xx)
+    rows = [[xx, o, xz], [o, yy, o], [xz, o, zz]]
+    return jnp.stack([jnp.stack(row) for row in rows])
