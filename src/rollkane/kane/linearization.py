@@ -86,7 +86,8 @@ def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs):
     places = np.asarray([system.independent.index(k) for k in moving], int)
     where = lambda system: () if inputs is None else inputs(system.parameters)
     r, unravel = ravel_pytree(where(system))
-    x = jnp.zeros(n + places.shape[0], state.q.dtype)
+    r = r.astype(state.q.dtype)  # of nothing: single precision
+    x = jnp.zeros(n + places.shape[0], r.dtype)
 
     def rates(x, r):
         shift = jnp.zeros_like(state.q).at[free].set(x[:n])

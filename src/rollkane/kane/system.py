@@ -6,6 +6,7 @@ list of numbers. Velocities are affine in the
 speeds; nothing is derived by hand, partial velocities and accelerations are theirs.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -54,10 +55,10 @@ class MotionFunction(eqx.Module):
                 "has a signature that does not fit",
                 "let it take (t, q, u), and then the parameters if there are any",
             )
-        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
         remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
+        call = functools.partial(_value, self._takes_more)
         try:
-            program, value, _ = eqx.filter_make_jaxpr(self.__call__)(*example)
+            program, value, _ = eqx.filter_make_jaxpr(call)(function, *example)
         except Exception as error:
             problem = f"cannot be traced by JAX ({error})"
             raise FieldError(field, function, problem, remedy) from error
@@ -66,17 +67,22 @@ class MotionFunction(eqx.Module):
             raise FieldError(field, function, f"returns shape {found}", remedy)
         if is_traced(*program.consts):
             # a closure would hide a traced number from differentiation
-            closed = eqx.filter_closure_convert(self.__call__, *example)
-            self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
+            closed = functools.partial(call, function)
+            function = eqx.filter_closure_convert(closed, *example)
             self._takes_more = True
+        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
 
     def __call__(self, t, q, u, more) -> Any:
         """Its value."""
         function = eqx.combine(self._arrays, self._fixed)
-        value = function(t, q, u, more) if self._takes_more else function(t, q, u)
-        if isinstance(value, list):
-            value = jnp.stack([jnp.asarray(v, q.dtype) for v in value])
-        return value
+        return _value(self._takes_more, function, t, q, u, more)
+
+
+def _value(takes_more: bool, function, t, q, u, more) -> Any:
+    value = function(t, q, u, more) if takes_more else function(t, q, u)
+    if isinstance(value, list):
+        value = jnp.stack([jnp.asarray(v, q.dtype) for v in value])
+    return value
 
 
 class Particle(eqx.Module):
