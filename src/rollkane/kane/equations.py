@@ -135,7 +135,7 @@ def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
         t: Time [s].
         state: Coordinates and independent speeds.
     """
-    M, forcing, T, bias, of_all = reduced(system, as_float(t), state)
+    M, forcing, _, T, bias, of_all = reduced(system, as_float(t), state)
     u_dot = T @ _solve(M, forcing) + bias
     return (of_all.mass_matrix @ u_dot - of_all.forcing)[system.speeds :]
 
@@ -171,6 +171,7 @@ class Reduced(NamedTuple):
 
     mass_matrix: Float[Array, "i i"]
     forcing: Float[Array, " i"]
+    u: Float[Array, " m"]
     T: Float[Array, "m i"]
     bias: Float[Array, " m"]
     of_all: KaneEquations
@@ -191,7 +192,7 @@ def reduced(system: KaneSystem, t, state: KaneState) -> Reduced:
     if rates.constraints is not None:
         bias = follow @ rates.constraints
         forcing = forcing - M @ bias
-    return Reduced(T.T @ M @ T, T.T @ forcing, T, bias, of_all)
+    return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, of_all)
 
 
 def values_of(system: KaneSystem, t, q, u) -> Velocities:

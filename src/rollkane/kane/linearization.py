@@ -22,7 +22,7 @@ class Linearization(NamedTuple):
 
     Attributes:
         A: Shape (x, x), [1/s] between like quantities.
-        B: By the inputs r, shape (x, r), [unit of x per s and unit of r]; r is empty where
+        B: By the inputs r, shape (x, r), [unit of x per s and unit of r]; empty where
             none were named.
         f: Rates at the state itself [unit of x / s], shape (x,): zero at an
             equilibrium.

@@ -10,7 +10,6 @@ from .equations import (
     SINGULAR,
     Reduced,
     Velocities,
-    as_float,
     partials_of,
     reduced,
     values_of,
@@ -34,7 +33,8 @@ def refuse_singular(system: KaneSystem, t, state: KaneState) -> None:
             traced.
     """
     if not is_traced(system, t, state):
-        refuse(system, t, state, *_examined(system, as_float(t), state))
+        known = np.asarray(t, np.asarray(state.q).dtype)  # by JAX it could be traced
+        refuse(system, t, state, *_examined(system, known, state))
 
 
 @for_one_call
@@ -74,7 +74,7 @@ def refuse(
     """
     where = f" at t = {float(t):g}, q = {np.asarray(state.q).tolist()}"
     _refuse_curved(curved, where)
-    if not np.isfinite(equations.T).all():
+    if not np.isfinite(equations.u).all():
         raise FieldError(
             "KaneSystem.constraints",
             system.dependent,
@@ -111,7 +111,7 @@ def _refuse_curved(curved: Velocities, where: str) -> None:
     }
     for kind, name in names.items():
         for k, amount in enumerate(jax.tree.leaves(getattr(curved, kind))):
-            if amount > _AFFINE:
+            if float(amount) > _AFFINE:
                 raise FieldError(
                     f"KaneSystem.{name.format(k)}",
                     float(amount),

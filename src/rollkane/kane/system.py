@@ -47,8 +47,8 @@ class MotionFunction(eqx.Module):
                 "must be a function",
                 "give a function of (t, q, u), and of the parameters if it needs them",
             )
-        self._takes_more = accepts(function, 4)
-        if not self._takes_more and not accepts(function, 3):
+        self._takes_more = not accepts(function, 3)  # defaults are the user's own
+        if self._takes_more and not accepts(function, 4):
             raise FieldError(
                 field,
                 function,

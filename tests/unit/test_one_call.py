@@ -1,0 +1,28 @@
+"""Compiling with little effort changes no result and no transformation."""
+
+import jax
+import jax.numpy as jnp
+
+from rollkane.one_call import for_one_call
+
+double = for_one_call(lambda x: 2.0 * x)
+
+
+def test_known_arguments_are_compiled():
+    assert double(jnp.asarray(3.0)) == 6.0
+
+
+def test_traced_arguments_go_through():
+    assert jax.grad(double)(3.0) == 2.0
+    assert (jax.vmap(double)(jnp.arange(3.0)) == jnp.array([0.0, 2.0, 4.0])).all()
+    assert jax.jit(double)(3.0) == 6.0
+
+
+def test_known_arguments_inside_a_trace_stay_known():
+    three = jnp.asarray(3.0)
+
+    @jax.jit
+    def times_six(x):
+        return float(double(three)) * x
+
+    assert times_six(2.0) == 12.0
