@@ -24,10 +24,11 @@ format: .venv/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: .venv/.installed
+bench: .venv/.bench
 	$(BIN)/python benchmarks/single.py --out benchmarks/results
 	$(BIN)/python benchmarks/effects.py --out benchmarks/results
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
+	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 
 docs: .venv/.docs
 	$(BIN)/mkdocs build --strict
@@ -45,6 +46,10 @@ clean:
 
 .venv/.dev: .venv/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+.venv/.bench: .venv/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	@touch $@
 
 .venv/.docs: .venv/.installed

@@ -15,6 +15,7 @@ import numpy as np
 import rollkane as rk
 from rollkane import observables
 from rollkane.euler_lagrange import residual_of
+from rollkane.one_call import for_one_call
 from rollkane.quasi_energy import (
     Configuration,
     inertia_of,
@@ -250,12 +251,6 @@ def bar(seed):
     return {"14": (share * v_dot - true, share * v**2 - true)}
 
 
-def _once(function):
-    """Compiled for one call: without what would make it fast."""
-    options = {"xla_backend_optimization_level": 0}
-    return jax.jit(jax.vmap(function), compiler_options=options)
-
-
 def residuals() -> dict[str, tuple[float, float]]:
     """Item -> largest residual (as printed, as corrected) over all configurations."""
     found: dict[str, list] = {}
@@ -267,7 +262,8 @@ def residuals() -> dict[str, tuple[float, float]]:
     for make, sign, parts in groups:
         scene, state = make(sign)
         for part in parts:
-            pairs = _once(lambda s, part=part, scene=scene: part(scene, s))(state)
+            of = lambda s, part=part, scene=scene: part(scene, s)
+            pairs = for_one_call(lambda s, of=of: jax.vmap(of)(s))(state)
             for name, pair in pairs.items():
                 found.setdefault(name, []).append(pair)
     for seed in range(DRAWS):

@@ -13,6 +13,8 @@ from rollkane.voronets import ChartContact
 
 TABLE = (Path(__file__).parents[2] / "docs" / "notation.md").read_text()
 OWNERS = {
+    "KaneEquations": rk.kane.KaneEquations,
+    "KaneState": rk.kane.KaneState,
     "LocalGeometry": rk.LocalGeometry,
     "BaseKinematics": BaseKinematics,
     "Carried": Carried,

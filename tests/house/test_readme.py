@@ -9,8 +9,11 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 
-def blocks(language):
-    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+PAGES = sorted((ROOT / "docs").glob("*.md"))
+
+
+def blocks(language, text=README):
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
 
 
 def test_make_commands_exist():
@@ -32,8 +35,11 @@ def test_rollkane_commands_exist():
 
 def test_python_examples_run():
     """Each block is a program of its own; x64 is set inside, as a reader would."""
-    examples = blocks("python")
-    assert examples
+    examples = [
+        *blocks("python"),
+        *(block for page in PAGES for block in blocks("python", page.read_text())),
+    ]
+    assert len(examples) > 2
     for example in examples:
         run = subprocess.run(
             [sys.executable, "-W", "error", "-c", example],

@@ -10,6 +10,7 @@ import pytest
 import rollkane as rk
 from rollkane import observables
 from rollkane.euler_lagrange import EQUATIONS
+from rollkane.one_call import for_one_call
 from rollkane.quasi_energy import (
     Configuration,
     angular_momentum_about_contact,
@@ -51,9 +52,8 @@ def case(request):
 
 
 def once(function):
-    """Compiled for one call over all seeds: without what would make it fast."""
-    options = {"xla_backend_optimization_level": 0}
-    return jax.jit(jax.vmap(function), compiler_options=options)
+    """For one call over all seeds."""
+    return for_one_call(lambda *case: jax.vmap(function)(*case))
 
 
 def accelerations(rates):

@@ -28,10 +28,10 @@ class KaneEquations(NamedTuple):
     The auxiliary speeds come last.
 
     Attributes:
-        mass_matrix: Shape (m, m).
-        forcing: ``F_r`` less the part of ``-F_r*`` without u', shape (m,).
-        fr: Generalized active forces ``F_r``, shape (m,).
-        q_dot: Rates of the coordinates, shape (n,).
+        mass_matrix: [kg], [kg m] or [kg m^2], as the speeds are; shape (m, m).
+        forcing: ``F_r`` less the part of ``-F_r*`` without u' [N] or [N m], shape (m,).
+        fr: Generalized active forces ``F_r`` [N] or [N m], shape (m,).
+        q_dot: Rates of the coordinates [m/s] or [rad/s], shape (n,).
         kinetic_energy: [J].
     """
 
