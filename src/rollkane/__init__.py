@@ -21,15 +21,17 @@ _ROOMS = {
     "base_motion": ("BaseMotion", "Spin"),
     "bodies": ("Body",),
     "checks": ("FieldError",),
-    "coordinates": ("State",),
+    "coordinates": ("SlidingState", "State"),
     "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
-    "loads": ("Gravity",),
+    "friction": ("CoulombFriction", "StribeckFriction", "ViscousFriction"),
+    "loads": ("Drag", "Force", "Gravity", "Potential", "Torque"),
     "placement": ("place",),
     "quasi_velocities": ("PaperQuantities", "paper_quantities"),
     "recorded_motion": ("RecordedMotion",),
     "rolling": ("contact_of", "rolling_derivative"),
-    "scene": ("Base", "Rolling", "Scene"),
+    "resistance": ("RollingResistance", "SpinningResistance"),
+    "scene": ("Base", "Rolling", "RubberRolling", "Scene", "Slipping"),
     "simulation": ("simulate",),
     "state_conversion": ("to_pole_free", "to_voronets"),
     "supported": ("PointMasses", "Prescribed", "SupportedBody"),
@@ -65,19 +67,31 @@ if TYPE_CHECKING:
     from .base_motion import Spin as Spin
     from .bodies import Body as Body
     from .checks import FieldError as FieldError
+    from .coordinates import SlidingState as SlidingState
     from .coordinates import State as State
     from .euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative
+    from .friction import CoulombFriction as CoulombFriction
+    from .friction import StribeckFriction as StribeckFriction
+    from .friction import ViscousFriction as ViscousFriction
     from .geometry import LocalGeometry as LocalGeometry
+    from .loads import Drag as Drag
+    from .loads import Force as Force
     from .loads import Gravity as Gravity
+    from .loads import Potential as Potential
+    from .loads import Torque as Torque
     from .placement import place as place
     from .quasi_velocities import PaperQuantities as PaperQuantities
     from .quasi_velocities import paper_quantities as paper_quantities
     from .recorded_motion import RecordedMotion as RecordedMotion
+    from .resistance import RollingResistance as RollingResistance
+    from .resistance import SpinningResistance as SpinningResistance
     from .rolling import contact_of as contact_of
     from .rolling import rolling_derivative as rolling_derivative
     from .scene import Base as Base
     from .scene import Rolling as Rolling
+    from .scene import RubberRolling as RubberRolling
     from .scene import Scene as Scene
+    from .scene import Slipping as Slipping
     from .simulation import simulate as simulate
     from .state_conversion import to_pole_free as to_pole_free
     from .state_conversion import to_voronets as to_voronets

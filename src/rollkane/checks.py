@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 
 class FieldError(ValueError):
@@ -138,3 +138,15 @@ def flag(field: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise FieldError(field, value, "must be True or False", "write one of the two")
     return bool(value)
+
+
+def not_negative(field: str, value, unit: str) -> Float[Array, ""]:
+    """A number that is zero or more.
+
+    Raises:
+        FieldError: it is not.
+    """
+    value = real(field, value, (), f"a number {unit}")
+    return refuse(
+        value, lambda x: ~(x >= 0.0), field, "must not be negative", "give 0 or more"
+    )

@@ -37,12 +37,17 @@ class Contact(eqx.Module):
         normal: Unit normal out of the body [1], body axes, shape (3,).
         body_point: ``rho``, contact point from the body origin [m], body axes, (3,).
         base_point: ``rho_c``, contact point [m], base axes, shape (3,).
-        velocity: ``V``, of the contact point along either surface [m/s], body axes.
+        velocity: ``V``, of the contact point along the body's surface [m/s], body
+            axes; along the base's, too, where nothing slips.
         body_rates: Rates of the body's contact coordinates [1/s]; shape (0,) where
             the body is given by its normal.
         base_rates: Rates of the base's contact coordinates [1/s], shape (k,).
         base: Motion of the base at this instant; None: at rest.
         base_angular_velocity: ``w_c`` [rad/s], body axes; None: it does not turn.
+        slip: ``U``, of the body's material point over the base [m/s], body axes; None:
+            it rolls.
+        normal_rate: Absolute rate of the normal [1/s], body axes; None where nothing
+            asks for it.
 
     Source: theory, sections 1, 6, 7 and 8.1.
     """
@@ -59,6 +64,8 @@ class Contact(eqx.Module):
     base_rates: Float[Array, " k"]
     base: BaseKinematics | None
     base_angular_velocity: Float[Array, "3"] | None
+    slip: Float[Array, "3"] | None
+    normal_rate: Float[Array, "3"] | None
 
     @property
     def position(self) -> Float[Array, "3"]:
@@ -76,6 +83,14 @@ class Contact(eqx.Module):
     def base_velocity(self) -> Float[Array, "3"] | None:
         """``j``, of the base's material point at the contact [m/s], body axes."""
         return self._of_base(BaseKinematics.velocity_at)
+
+    @property
+    def point_velocity(self) -> Float[Array, "3"] | None:
+        """``j + U``, of the body's material point at the contact [m/s], body axes."""
+        j = self.base_velocity
+        if self.slip is None:
+            return j
+        return self.slip if j is None else j + self.slip
 
     @property
     def base_acceleration(self) -> Float[Array, "3"] | None:
@@ -97,9 +112,17 @@ class Contact(eqx.Module):
     def body_point_acceleration(self) -> Float[Array, "3"]:
         """``a_P``, of the body's material point at the contact [m/s^2], body axes.
 
-        Source: theory, section 4.1, ``a_P = a_b + V x (w - w_c)`` (rolling).
+        Where it slips, without the part along the surface that the forces determine.
+
+        Source: theory, section 4.1, ``a_P = a_b + V x (w - w_c)`` (rolling); section
+        8.4 (slipping), ``a_b + w_c x V_c - w x V_b + dU/dt``.
         """
         relative = cross(self.velocity, self.relative_angular_velocity)
+        if self.slip is not None:
+            assert self.normal_rate is not None
+            relative = relative - self.normal * dot(self.slip, self.normal_rate)
+            if self.base_angular_velocity is not None:
+                relative = relative + cross(self.base_angular_velocity, self.slip)
         pushed = self.base_acceleration
         return relative if pushed is None else pushed + relative
 
@@ -112,14 +135,16 @@ def rolling_contact(
     on_base: Float[Array, " k"],
     on_body: Float[Array, " m"],
     moving: BaseKinematics | None = None,
+    slip: Float[Array, "3"] | None = None,
+    without_spin: bool = False,
 ) -> Contact:
-    """Contact of a body that rolls without slipping.
+    """Contact of a body that rolls, or slips.
 
     The normals obey ``n_body = -n_base``, so with ``r = n_body x Om`` the turns of both
     add up, ``K_b x_b + K_c x_c = r`` (K = -W), and the travels agree,
-    ``L_b x_b = L_c x_c``: the system of theory 8.1 for U = 0 and s = -1. Only what
-    cannot vanish is divided by: the turn of a body given by its normal, the length of
-    any other.
+    ``L_b x_b + U = L_c x_c``: the system of theory 8.1 for s = -1. Only what cannot
+    vanish is divided by: the turn of a body given by its normal, the length of any
+    other.
 
     Args:
         body: Surface of the body, body axes.
@@ -129,6 +154,9 @@ def rolling_contact(
         on_base: Contact coordinates on the base.
         on_body: Contact coordinates on the body; shape (0,) if given by its normal.
         moving: Motion of the base; None: at rest.
+        slip: ``U``, FIXED axes [m/s]; what of it leaves the surface is left out. None:
+            it rolls.
+        without_spin: Whether turning about the normal is left out (rubber).
     """
     ground = base.geometry(on_base)
     rotation = rotation_matrix(orientation)
@@ -142,23 +170,32 @@ def rolling_contact(
         to_base = body_to_base(rotation, moving)
         normal = shell.frame[:, 2]
     relative, base_turn = relative_spin(angular_velocity, to_base, moving)
+    if without_spin:
+        spin = normal * dot(normal, relative)
+        relative, angular_velocity = relative - spin, angular_velocity - spin
+    if slip is not None:
+        slip = matvec_transposed(rotation, slip)
+        slip = slip - normal * dot(normal, slip)
     turning = cross(normal, relative)
     body_rates = on_body
     if shell is not None:
         roll = _roll_on_plane if base.is_flat else _roll_on_base
-        velocity, x_body, x_base = roll(shell, ground, to_base, turning)
+        velocity, x_body, x_base = roll(shell, ground, to_base, turning, slip)
         body_point = shell.position
         body_rates = body.coordinate_rates(on_body, shell, x_body)
     elif base.is_flat:
         assert point is not None
         body_point, velocity = jax.jvp(point, (normal,), (turning,))
-        x_base = matvec(to_base[:2], velocity)
+        x_base = matvec(to_base[:2], _with(slip, velocity))
     else:
         assert point is not None
         pair = _tangents_in_body(ground, to_base)
         shell = from_normal(point, normal, pair)
         body_point = shell.position
-        velocity, x_base = _roll_by_normal(shell, ground, pair, turning)
+        velocity, x_base = _roll_by_normal(shell, ground, pair, turning, slip)
+    normal_rate = None
+    if slip is not None or without_spin:
+        normal_rate = _normal_rate(ground, to_base, normal, base_turn, x_base)
     return Contact(
         orientation=orientation,
         rotation=rotation,
@@ -172,7 +209,21 @@ def rolling_contact(
         base_rates=base.coordinate_rates(on_base, ground, x_base),
         base=moving,
         base_angular_velocity=base_turn,
+        slip=slip,
+        normal_rate=normal_rate,
     )
+
+
+def _normal_rate(ground: LocalGeometry, to_base, normal, base_turn, x_base):
+    """Absolute rate of the normal, on body axes: the base's, the other way round."""
+    along = matvec(ground.frame_rates, x_base)
+    rate = _from_pair(_tangents_in_body(ground, to_base), along)
+    return rate if base_turn is None else rate + cross(base_turn, normal)
+
+
+def _with(slip, velocity):
+    """Velocity of the contact point along the base."""
+    return velocity if slip is None else velocity + slip
 
 
 def body_to_base(
@@ -224,27 +275,34 @@ def _from_pair(pair, steps) -> Float[Array, "3"]:
     return first * pair[0] + second * pair[1]
 
 
-def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning):
-    """Body given by its normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r``."""
+def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning, slip):
+    """Body given by its normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r + U``."""
     lengths_b = shell.lengths
     system = ground.lengths - matmul(lengths_b, ground.frame_rates)
-    x_base = solve_2x2(system, matvec(lengths_b, _on_pair(pair, turning)))
-    return _from_pair(pair, matvec(ground.lengths, x_base)), x_base
+    rhs = matvec(lengths_b, _on_pair(pair, turning))
+    if slip is not None:
+        rhs = rhs + _on_pair(pair, slip)
+    x_base = solve_2x2(system, rhs)
+    velocity = _from_pair(pair, matvec(ground.lengths, x_base))
+    return velocity if slip is None else velocity - slip, x_base
 
 
-def _roll_on_plane(shell: LocalGeometry, ground: LocalGeometry, rotation, turning):
+def _roll_on_plane(
+    shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip
+):
     """Body that carries its point, on a plane: ``K_b x_b = r``."""
     del ground
     pair = shell.frame[:, 0], shell.frame[:, 1]
     x_body = solve_2x2(-shell.frame_rates, _on_pair(pair, turning))
     velocity = travel(shell, x_body)
-    return velocity, x_body, matvec(rotation[:2], velocity)
+    return velocity, x_body, matvec(rotation[:2], _with(slip, velocity))
 
 
-def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning):
-    """Body that carries its point: ``(K_b L_b^-1 T L_c + T K_c) x_c = r``.
+def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip):
+    """Body that carries its point.
 
-    ``T[m, a] = e_m . t_a`` takes the base's tangent pair to the body's.
+    ``(K_b L_b^-1 T L_c + T K_c) x_c = r + K_b L_b^-1 U``, where ``T[m, a] = e_m . t_a``
+    takes the base's tangent pair to the body's.
     """
     pair = shell.frame[:, 0], shell.frame[:, 1]
     tangents = _tangents_in_body(ground, rotation)
@@ -253,5 +311,11 @@ def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning
     columns = [solve_2x2(shell.lengths, steps[:, a]) for a in range(2)]
     own = jnp.stack(columns, axis=1)  # L_b^-1 T L_c
     system = -matmul(shell.frame_rates, own) - matmul(mixing, ground.frame_rates)
-    x_base = solve_2x2(system, _on_pair(pair, turning))
-    return _from_pair(pair, matvec(steps, x_base)), matvec(own, x_base), x_base
+    rhs = _on_pair(pair, turning)
+    if slip is None:
+        x_base = solve_2x2(system, rhs)
+        return _from_pair(pair, matvec(steps, x_base)), matvec(own, x_base), x_base
+    left_out = solve_2x2(shell.lengths, _on_pair(pair, slip))  # L_b^-1 U
+    x_base = solve_2x2(system, rhs - matvec(shell.frame_rates, left_out))
+    velocity = _from_pair(pair, matvec(steps, x_base)) - slip
+    return velocity, matvec(own, x_base) - left_out, x_base

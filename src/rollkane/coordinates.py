@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from .contact import Contact
 from .rotations import quaternion_rates
+from .small_linear import dot, matvec
 
 
 class State(eqx.Module):
@@ -51,12 +52,62 @@ class State(eqx.Module):
             alpha_ddot: [unit of alpha / s^2].
         """
         return State(
-            orientation=quaternion_rates(self.orientation, self.angular_velocity),
+            orientation=quaternion_rates(self.orientation, contact.angular_velocity),
             angular_velocity=angular_acceleration,
             contact_on_base=contact.base_rates,
             contact_on_body=contact.body_rates,
             alpha=self.alpha_dot,
             alpha_dot=alpha_ddot,
+        )
+
+
+class SlidingState(State):
+    """State of a body that slips, too.
+
+    Attributes:
+        orientation: As in ``State`` [1], shape (4,).
+        angular_velocity: On BODY axes [rad/s], shape (3,).
+        contact_on_base: Contact point on the base, shape (k,).
+        contact_on_body: On the body, shape (m,).
+        alpha: Coordinates of what the body supports, shape (n,).
+        alpha_dot: Their rates, shape (n,).
+        slip: ``U``, velocity of the body's material point at the contact over the
+            base, FIXED axes [m/s], shape (3,).
+    """
+
+    slip: Float[Array, "3"]
+
+    def rates(
+        self,
+        contact: Contact,
+        angular_acceleration: Float[Array, "3"],
+        alpha_ddot: Float[Array, " n"],
+        slip_acceleration: Float[Array, "3"] | None = None,
+    ) -> "SlidingState":
+        """Rates of every number of a state, as a state.
+
+        Args:
+            contact: Its contact, with the rates of the contact coordinates.
+            angular_acceleration: ``w'``, BODY axes [rad/s^2].
+            alpha_ddot: [unit of alpha / s^2].
+            slip_acceleration: Along the surface, BODY axes [m/s^2].
+
+        Source: theory, section 8.4; the slip stays on the surface as it turns.
+        """
+        rolling = super().rates(contact, angular_acceleration, alpha_ddot)
+        slip, rate = contact.slip, contact.normal_rate
+        assert slip is not None
+        assert rate is not None
+        assert slip_acceleration is not None
+        change = slip_acceleration - contact.normal * dot(slip, rate)
+        return SlidingState(
+            rolling.orientation,
+            rolling.angular_velocity,
+            rolling.contact_on_base,
+            rolling.contact_on_body,
+            rolling.alpha,
+            rolling.alpha_dot,
+            slip=matvec(contact.rotation, change),
         )
 
 

@@ -13,8 +13,9 @@ from jaxtyping import Array, Float
 from .base_motion import BaseKinematics, Spin
 from .checks import FieldError
 from .loads import AbstractLoad
+from .mass_matrix import field_of, shares
 from .observables import energy, moving_energy
-from .rolling import contact_force, contact_of, field_of, shares
+from .rolling import contact_force, contact_of
 from .rotations import in_one_sense, quaternion_of
 from .scene import Scene
 from .small_linear import cross, matvec, norm
@@ -198,8 +199,8 @@ def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
     if quaternion is None:
         quaternion = quaternion_of(rotation)
     velocity = cross(arm, spin)  # no slip: the point at the contact moves with the base
-    if contact.base_velocity is not None:
-        velocity = velocity + matvec(rotation, contact.base_velocity)
+    if contact.point_velocity is not None:
+        velocity = velocity + matvec(rotation, contact.point_velocity)
     return jnp.concatenate(
         [
             contact.position,

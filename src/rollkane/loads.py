@@ -4,12 +4,19 @@ A load is a field, which accelerates every mass alike (the body's and those it c
 or a force on the body, or both.
 """
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .bodies import Body
-from .checks import real
+from .checks import FieldError, not_negative, real
 from .contact import Contact
+from .small_linear import cross, dot, matvec, matvec_transposed
+from .user_function import accepts
 
 
 class AbstractLoad(eqx.Module):
@@ -24,6 +31,18 @@ class AbstractLoad(eqx.Module):
         self, t: Float[Array, ""], body: Body, contact: Contact
     ) -> tuple[Float[Array, "3"], Float[Array, "3"]] | None:
         """Force [N] and moment about the CONTACT POINT [N m], BODY axes; None: none."""
+        del t, body, contact
+        return None
+
+    def moment_by_normal_force(self, contact: Contact) -> Float[Array, "3"] | None:
+        """Moment on the body for one newton of normal force [m], BODY axes."""
+        del contact
+        return None
+
+    def potential_energy(
+        self, t: Float[Array, ""], body: Body, contact: Contact
+    ) -> Float[Array, ""] | None:
+        """Energy stored against its wrench [J]; None: it is not conservative."""
         del t, body, contact
         return None
 
@@ -54,3 +73,248 @@ class Gravity(AbstractLoad):
     def field(self) -> Float[Array, "3"]:
         """The acceleration itself [m/s^2], fixed axes."""
         return self.acceleration
+
+
+class PointMotion(NamedTuple):
+    """A material point of the body, as a function of the user's sees it.
+
+    Attributes:
+        position: [m], FIXED axes, shape (3,).
+        velocity: [m/s], FIXED axes, shape (3,).
+        rotation: Of the body, body to fixed axes [1], shape (3, 3).
+        angular_velocity: Of the body [rad/s], FIXED axes, shape (3,).
+    """
+
+    position: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+    rotation: Float[Array, "3 3"]
+    angular_velocity: Float[Array, "3"]
+
+
+class Force(AbstractLoad):
+    """A force on a point of the body.
+
+    Attributes:
+        force: Three components, or a function [N], FIXED axes.
+        point: Where it acts [m], body axes, shape (3,).
+        parameters: Numbers that the function depends on.
+    """
+
+    force: Any
+    point: Float[Array, "3"]
+    parameters: Any
+
+    def __init__(self, force, point=(0.0, 0.0, 0.0), parameters: Any = None):
+        """Make a force.
+
+        Args:
+            force: Three components [N], FIXED axes; or ``force(t, point)`` or
+                ``force(t, point, parameters)`` of the time [s] and a ``PointMotion``,
+                that returns them.
+            point: Material point of the body where it acts [m], body axes.
+            parameters: Tree of numbers for the function, differentiable.
+
+        Raises:
+            FieldError: not three numbers, or a function of another kind.
+        """
+        self.force = _given("Force.force", force, parameters, (3,), "newtons")
+        self.point = real("Force.point", point, (3,), "metres, body axes")
+        self.parameters = parameters
+
+    def wrench(self, t, body, contact):
+        """The force, and its moment about the contact point."""
+        del body
+        moving = point_motion(contact, self.point)
+        force = _value(self.force, self.parameters, t, moving)
+        force = matvec_transposed(contact.rotation, force)
+        return force, cross(self.point - contact.body_point, force)
+
+
+class Torque(AbstractLoad):
+    """A torque on the body.
+
+    Attributes:
+        torque: Three components, or a function [N m], FIXED axes.
+        parameters: Numbers that the function depends on.
+    """
+
+    torque: Any
+    parameters: Any
+
+    def __init__(self, torque, parameters: Any = None):
+        """Make a torque.
+
+        Args:
+            torque: Three components [N m], FIXED axes; or ``torque(t, origin)`` or
+                ``torque(t, origin, parameters)`` of the time [s] and a
+                ``PointMotion`` of the body's origin, that returns them.
+            parameters: Tree of numbers for the function, differentiable.
+
+        Raises:
+            FieldError: not three numbers, or a function of another kind.
+        """
+        self.torque = _given("Torque.torque", torque, parameters, (3,), "newton metres")
+        self.parameters = parameters
+
+    def wrench(self, t, body, contact):
+        """No force, and the torque."""
+        del body
+        zero = jnp.zeros_like(contact.normal)
+        torque = _value(self.torque, self.parameters, t, point_motion(contact, zero))
+        return zero, matvec_transposed(contact.rotation, torque)
+
+
+class Potential(AbstractLoad):
+    """A force with a potential, on a point of the body: a spring, a magnet.
+
+    Attributes:
+        potential: Function of the place of the point, FIXED axes [m] -> energy [J].
+        point: Where it acts [m], body axes, shape (3,).
+        parameters: Numbers that the function depends on.
+    """
+
+    potential: Any
+    point: Float[Array, "3"]
+    parameters: Any
+
+    def __init__(
+        self, potential: Callable, point=(0.0, 0.0, 0.0), parameters: Any = None
+    ):
+        """Make a force by its potential.
+
+        Args:
+            potential: ``potential(position)`` or ``potential(position, parameters)``
+                -> energy [J]; position in FIXED axes [m]. It counts in the energy.
+            point: Material point of the body where it acts [m], body axes.
+            parameters: Tree of numbers for the function, differentiable.
+
+        Raises:
+            FieldError: no function, or one of another kind.
+        """
+        field = "Potential.potential"
+        if not callable(potential):
+            raise FieldError(
+                field, potential, "must be a function", "give V(position), in joules"
+            )
+        place = (jnp.zeros(3), *_more(parameters))
+        _check(field, potential, place, ())
+        self.potential = potential
+        self.point = real("Potential.point", point, (3,), "metres, body axes")
+        self.parameters = parameters
+
+    def _energy(self, position):
+        return self.potential(position, *_more(self.parameters))
+
+    def potential_energy(self, t, body, contact):
+        """The potential where the point is [J]."""
+        del t, body
+        return self._energy(point_motion(contact, self.point).position)
+
+    def wrench(self, t, body, contact):
+        """Less the potential's gradient, and its moment about the contact point."""
+        del t, body
+        place = point_motion(contact, self.point).position
+        force = -matvec_transposed(contact.rotation, jax.grad(self._energy)(place))
+        return force, cross(self.point - contact.body_point, force)
+
+
+class Drag(AbstractLoad):
+    """Resistance of the air: ``-(c1 + c2 |v|) v`` on a point, ``-c_w w`` on turning.
+
+    Attributes:
+        linear: c1 [N s/m].
+        quadratic: c2 [N s^2/m^2].
+        angular: c_w [N m s].
+        point: Where it acts [m], body axes, shape (3,).
+    """
+
+    linear: Float[Array, ""]
+    quadratic: Float[Array, ""]
+    angular: Float[Array, ""]
+    point: Float[Array, "3"]
+
+    def __init__(self, linear=0.0, quadratic=0.0, angular=0.0, point=(0.0, 0.0, 0.0)):
+        """Make a drag.
+
+        Args:
+            linear: c1 [N s/m], zero or more.
+            quadratic: c2 [N s^2/m^2], zero or more.
+            angular: c_w [N m s], zero or more.
+            point: Material point of the body where it acts [m], body axes.
+
+        Raises:
+            FieldError: negative coefficients, or no numbers.
+        """
+        self.linear = not_negative("Drag.linear", linear, "in N s/m")
+        self.quadratic = not_negative("Drag.quadratic", quadratic, "in N s^2/m^2")
+        self.angular = not_negative("Drag.angular", angular, "in N m s")
+        self.point = real("Drag.point", point, (3,), "metres, body axes")
+
+    def wrench(self, t, body, contact):
+        """Force and moment about the contact point, body axes."""
+        del t, body
+        w, arm = contact.angular_velocity, self.point - contact.body_point
+        v = _point_velocity(contact, arm)
+        squared = dot(v, v)
+        moving = squared > 0.0  # the speed has no derivative at rest, |v| v has
+        speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1.0)), 0.0)
+        force = -(self.linear + self.quadratic * speed) * v
+        return force, cross(arm, force) - self.angular * w
+
+
+def point_motion(contact: Contact, point: Float[Array, "3"]) -> PointMotion:
+    """A material point of the body, on fixed axes.
+
+    Args:
+        contact: The body's contact.
+        point: [m], body axes.
+    """
+    R, arm = contact.rotation, point - contact.body_point
+    return PointMotion(
+        contact.place + matvec(R, arm),
+        matvec(R, _point_velocity(contact, arm)),
+        R,
+        matvec(R, contact.angular_velocity),
+    )
+
+
+def _point_velocity(contact: Contact, arm) -> Float[Array, "3"]:
+    v = cross(contact.angular_velocity, arm)
+    moved = contact.point_velocity
+    return v if moved is None else moved + v
+
+
+def _more(parameters: Any) -> tuple:
+    return () if parameters is None else (parameters,)
+
+
+def _given(field: str, value, parameters, shape, unit: str):
+    """Constant components, or a checked function of the time and a point."""
+    if not callable(value):
+        return real(field, value, shape, f"three components in {unit}, or a function")
+    count = 2 + len(_more(parameters))
+    if not accepts(value, count):
+        raise FieldError(
+            field,
+            value,
+            "has a signature that does not fit",
+            "let it take (t, point)" + (", parameters" if count > 2 else ""),
+        )
+    still = PointMotion(jnp.zeros(3), jnp.zeros(3), jnp.eye(3), jnp.zeros(3))
+    _check(field, value, (jnp.zeros(()), still, *_more(parameters)), shape)
+    return value
+
+
+def _check(field: str, function, arguments, shape) -> None:
+    remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
+    try:
+        found = jnp.shape(jax.eval_shape(function, *arguments))
+    except Exception as error:
+        problem = f"cannot be traced by JAX ({error})"
+        raise FieldError(field, function, problem, remedy) from error
+    if found != shape:
+        raise FieldError(field, function, f"returns shape {found}", remedy)
+
+
+def _value(given: Any, parameters, t, moving: PointMotion) -> Any:
+    return given(t, moving, *_more(parameters)) if callable(given) else given

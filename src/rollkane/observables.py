@@ -11,15 +11,9 @@ from jaxtyping import Array, Float
 
 from .bodies import inertia_about
 from .contact import Contact
-from .rolling import (
-    accelerations,
-    assemble,
-    contact_force,
-    contact_of,
-    field_of,
-    shares,
-    times_lower,
-)
+from .contact_laws import accelerations, momentum_rate
+from .mass_matrix import assemble, field_of, shares, times_lower
+from .rolling import contact_force, contact_of
 from .scene import Scene
 from .small_linear import cross, dot, matvec, norm
 from .supported import Prescribed, total
@@ -42,7 +36,7 @@ def _shares(scene: Scene, state: AnyState):
 
 def _moving(scene: Scene, t, state, contact: Contact) -> Iterator[_Moving]:
     """The body, then everything that it carries."""
-    w, j = contact.angular_velocity, contact.base_velocity
+    w, j = contact.angular_velocity, contact.point_velocity
     body = scene.body
     c = body.center_of_mass - contact.body_point
     v = cross(w, c) if j is None else j + cross(w, c)
@@ -77,7 +71,7 @@ def kinetic_energy(
 
 
 def energy(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""]:
-    """Kinetic plus potential energy [J]: of the fields of all loads, and of springs.
+    """Kinetic plus potential energy [J]: of fields and potentials of loads, of springs.
 
     The potential of a field is ``-sum m g . r`` from the fixed origin; a spring counts
     where it is given by a potential.
@@ -91,6 +85,9 @@ def energy(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "
             value = value - dot(field, jnp.sum(mass) * contact.place + arm)
     for supported, alpha, _ in _shares(scene, state):
         stored = supported.potential_energy(alpha)
+        value = value if stored is None else value + stored
+    for load in scene.loads:
+        stored = load.potential_energy(t, scene.body, contact)
         value = value if stored is None else value + stored
     return value
 
@@ -157,24 +154,29 @@ def moving_energy(
 def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""]:
     """Rate at which energy is given to the system [W].
 
-    The base drives it through the contact force (``Rc . j``; nothing on a base at
-    rest), forces on the coordinates by ``Q_s alpha'^s`` (springs with a potential
-    excepted), forces of loads on the body, and prescribed motions by whatever they
-    need. It is the rate of :func:`energy` exactly.
+    The contact force gives ``Rc . (j + U)`` (nothing where the body rolls on a base at
+    rest, less than nothing by friction), the contact's moment ``M . w``, forces on the
+    coordinates ``Q_s alpha'^s`` (springs with a potential excepted), forces of loads on
+    the body (potentials excepted) theirs, and prescribed motions whatever they need. It
+    is the rate of :func:`energy` exactly.
 
     Source: theory, section 5 (power).
     """
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
-    w_dot, _ = accelerations(system)
-    w, j = contact.angular_velocity, contact.base_velocity
+    solution = accelerations(scene, t, contact, system)
+    w_dot, slid = solution.angular_acceleration, solution.slip_acceleration
+    w, j = contact.angular_velocity, contact.point_velocity
     value = jnp.zeros_like(w[0])
     if j is not None:
-        force = contact_force(scene, t, state)
-        value = value + dot(matvec(contact.rotation, j), force)
+        force = momentum_rate(scene, contact, system).force(solution)
+        value = value + dot(j, force)
+    if solution.moment is not None:
+        value = value + dot(w, solution.moment)
     for load in scene.loads:
         wrench = load.wrench(t, scene.body, contact)
-        if wrench is not None:
+        stored = load.potential_energy(t, scene.body, contact)
+        if wrench is not None and stored is None:
             value = value + dot(w, wrench[1])
             value = value if j is None else value + dot(j, wrench[0])
     parts = zip(
@@ -184,7 +186,8 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
     )
     for (supported, alpha, alpha_dot), (part, s, drive, torque) in parts:
         if isinstance(supported, Prescribed):
-            need = part.mass[None] * cross(w_dot, s) + drive
+            push = cross(w_dot, s) if slid is None else cross(w_dot, s) + slid[:, None]
+            need = part.mass[None] * push + drive
             value = value + jnp.sum(dot(part.velocity, need))
             if part.turning is not None and torque is not None:
                 spin = matvec(part.turning.inertia, w_dot) + torque

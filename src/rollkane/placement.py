@@ -1,5 +1,6 @@
 """Put a body onto its base: find the contact, or say why there is none."""
 
+import dataclasses
 from typing import Any, cast
 
 import equinox as eqx
@@ -8,15 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .checks import is_traced, real, refuse
+from .checks import FieldError, is_traced, real, refuse
 from .contact import body_to_base
-from .coordinates import State
+from .coordinates import SlidingState, State
 from .geometry import LocalGeometry, from_normal
+from .mass_matrix import assemble
 from .one_call import for_one_call
-from .rolling import assemble, contact_of
+from .rolling import contact_of
 from .rotations import rotation_matrix
-from .scene import Scene
-from .small_linear import dot, matvec_transposed, norm
+from .scene import Scene, Slipping
+from .small_linear import cross, dot, matvec, matvec_transposed, norm
 from .surfaces import AbstractPointSurface, PointOfNormal
 
 
@@ -31,6 +33,7 @@ def place(
     base_normal: Any = None,
     near_on_body: Any = None,
     time: Any = 0.0,
+    velocity: Any = None,
 ) -> State:
     """The state in which a body touches its base at a given point.
 
@@ -47,14 +50,18 @@ def place(
         near_on_body: Body axes [m], shape (3,). Where several points of the body have
             the needed normal (a cylinder, a body that is not convex), take the one
             next to this; by default the outermost.
-        time: When the motion starts [s]; matters only where the base turns.
+        time: When the motion starts [s]; matters only where the base moves.
+        velocity: Of the body origin, FIXED axes [m/s], shape (3,), in a scene whose
+            contact slips; by default that of rolling. It must keep the body on the
+            base.
 
     Returns:
-        The state, in pole-free coordinates.
+        The state, in pole-free coordinates; a ``SlidingState`` where the contact slips.
 
     Raises:
         FieldError: a quaternion that is not of unit length, a contact point off the
-            base, a body that cannot touch the base so, surfaces that fit each other.
+            base, a body that cannot touch the base so, surfaces that fit each other, a
+            velocity that leaves the base or that rolling determines.
             Under ``vmap`` the lane becomes NaN instead and ``simulate`` marks it.
 
     Source: theory, section 7, ``n_body = -R^T n_base``.
@@ -99,7 +106,52 @@ def place(
         alpha=numbers[0],
         alpha_dot=numbers[1],
     )
-    return _with_mass(scene, time, state) if scene.coordinate_count else state
+    if scene.coordinate_count:
+        state = _with_mass(scene, time, state)
+    if isinstance(scene.contact, Slipping):
+        return _sliding(scene, time, state, velocity)
+    if velocity is not None:
+        raise FieldError(
+            "place.velocity",
+            velocity,
+            "follows from the angular velocity where the body rolls",
+            "leave it out, or give Scene(contact=Slipping(...))",
+        )
+    return state
+
+
+def _sliding(scene: Scene, time: Array, state: State, velocity: Any) -> SlidingState:
+    """The state with the slip that a velocity of the body's origin means."""
+    parts = {f.name: getattr(state, f.name) for f in dataclasses.fields(state)}
+    slip = jnp.zeros_like(state.angular_velocity)
+    if velocity is not None:
+        dtype = slip.dtype
+        given = _number(dtype, "velocity", velocity, 3, "m/s, fixed axes")
+        slip, leaving, size = _slip_of(scene, time, state, given)
+        slip = refuse(
+            slip,
+            ~(abs(leaving) <= _looseness(dtype) * size),
+            "place.velocity",
+            "would take the body off the base, or into it",
+            "leave out its part along the normal",
+        )
+    return SlidingState(**parts, slip=slip)
+
+
+@for_one_call
+def _slip_of(scene: Scene, time: Array, state: State, velocity: Array):
+    """Slip on fixed axes, how fast it leaves the base, and the size of the speeds."""
+    contact = contact_of(scene, time, state)
+    turned = matvec(
+        contact.rotation, cross(contact.angular_velocity, contact.body_point)
+    )
+    slip = velocity + turned
+    j = contact.base_velocity
+    if j is not None:
+        slip = slip - matvec(contact.rotation, j)
+    out = matvec(contact.rotation, contact.normal)
+    size = jnp.sqrt(dot(velocity, velocity) + dot(turned, turned))
+    return slip, dot(slip, out), size
 
 
 def _with_mass(scene: Scene, time: Array, state: State) -> State:

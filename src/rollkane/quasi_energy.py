@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .bodies import inertia_about
-from .rolling import field_of, generalized_force, shares
+from .mass_matrix import field_of, generalized_force, shares
 from .scene import Scene
 from .small_linear import cross, dot, matmul, matvec, matvec_transposed
 from .supported import total

@@ -8,6 +8,7 @@ import equinox as eqx
 from .base_motion import AbstractBaseMotion
 from .bodies import Body
 from .checks import FieldError
+from .friction import AbstractFriction, ViscousFriction
 from .loads import AbstractLoad, Gravity
 from .supported import AbstractSupported
 from .surfaces import AbstractSurface, Plane
@@ -18,6 +19,45 @@ class Rolling(eqx.Module):
 
     Bilateral: a motion that pulls runs on, and the result says when that began.
     """
+
+
+class RubberRolling(Rolling):
+    """Contact law: rolling without slipping and without turning about the normal.
+
+    Relative to the base; a spin about the normal in a start is left out.
+
+    Source: theory, section 8.2.
+    """
+
+
+class Slipping(eqx.Module):
+    """Contact law: the contact holds, but the body slips on it, against friction.
+
+    Bilateral, like rolling: where the contact pulls, friction acts with the size of the
+    normal force.
+
+    Attributes:
+        friction: ``ViscousFriction``, ``CoulombFriction`` or ``StribeckFriction``.
+
+    Source: theory, section 8.4.
+    """
+
+    friction: AbstractFriction
+
+    def __init__(self, friction: AbstractFriction | None = None):
+        """Make the law.
+
+        Args:
+            friction: A friction law; ``ViscousFriction(0.0)``, a smooth surface, when
+                left out.
+
+        Raises:
+            FieldError: something else.
+        """
+        friction = ViscousFriction(0.0) if friction is None else friction
+        remedy = "give ViscousFriction, CoulombFriction or StribeckFriction"
+        _require("Slipping.friction", friction, AbstractFriction, remedy)
+        self.friction = friction
 
 
 class Base(eqx.Module):
@@ -84,7 +124,7 @@ class Scene(eqx.Module):
     base: Base
     supported: tuple[AbstractSupported, ...]
     loads: tuple[AbstractLoad, ...]
-    contact: Rolling
+    contact: Rolling | Slipping
     carries_point: bool = eqx.field(static=True)
 
     def __init__(
@@ -93,7 +133,7 @@ class Scene(eqx.Module):
         base: Base | None = None,
         supported=(),
         loads=None,
-        contact: Rolling | None = None,
+        contact: Rolling | Slipping | None = None,
     ):
         """Make a scene.
 
@@ -113,12 +153,18 @@ class Scene(eqx.Module):
         contact = Rolling() if contact is None else contact
         _require("Scene.body", body, Body, "give a Body")
         _require("Scene.base", base, Base, "give a Base, for example Base(Plane())")
-        _require("Scene.contact", contact, Rolling, "give Rolling()")
+        remedy = "give Rolling(), RubberRolling() or Slipping(friction)"
+        _require("Scene.contact", contact, (Rolling, Slipping), remedy)
         if isinstance(loads, AbstractLoad):
             loads = (loads,)
         _require("Scene.loads", loads, (tuple, list), "give a tuple of loads")
         for i, load in enumerate(loads):
-            _require(f"Scene.loads[{i}]", load, AbstractLoad, "give Gravity() or ()")
+            _require(
+                f"Scene.loads[{i}]",
+                load,
+                AbstractLoad,
+                "give Gravity(), or () for none",
+            )
         if isinstance(supported, AbstractSupported):
             supported = (supported,)
         _require("Scene.supported", supported, (tuple, list), "give a tuple of parts")

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .checks import FieldError, is_traced
-from .coordinates import State
+from .coordinates import SlidingState, State
 from .euler_lagrange import euler_lagrange_derivative
+from .friction import ViscousFriction
 from .integration import (
     Outcome,
     Problem,
@@ -18,13 +19,15 @@ from .integration import (
     integrate,
     warn_single_precision,
 )
-from .rolling import contact_of, rolling_derivative
-from .scene import Scene
+from .rolling import contact_of, painleve_margin, rolling_derivative
+from .scene import Rolling, Scene, Slipping
 from .state_conversion import to_pole_free, to_voronets
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
 _COORDINATES = ("pole-free", "voronets")
+# a run towards the paradox ends just before it, with the normal force growing over all
+_MARGIN = 1e-3
 
 
 def simulate(
@@ -80,6 +83,7 @@ def simulate(
             names, a start that does not belong to the scene.
     """
     _check_names(formulation, coordinates)
+    _check_law(scene, formulation, coordinates)
     _check_start(scene, start)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
@@ -133,11 +137,28 @@ _PROBLEMS = {
 
 
 def _code_at(outcome: Outcome, scene: Scene) -> Array:
-    """The code, once it is seen whether a small step was the edge of a chart."""
+    """The code, once it is seen what a small step was: a chart's edge, Painleve."""
     state = outcome.final_state
-    if not isinstance(state, VoronetsState):
-        return outcome.code
-    return _code_in_charts(outcome.code, scene, outcome.final_time, state)
+    if isinstance(state, VoronetsState):
+        return _code_in_charts(outcome.code, scene, outcome.final_time, state)
+    if _has_margin(scene):
+        return _code_by_margin(outcome.code, scene, outcome.final_time, state)
+    return outcome.code
+
+
+def _has_margin(scene: Scene) -> bool:
+    """Whether something is proportional to the normal force."""
+    law = scene.contact
+    dry = any(getattr(load, "dry", None) is not None for load in scene.loads)
+    slips = isinstance(law, Slipping) and not isinstance(law.friction, ViscousFriction)
+    return dry or slips
+
+
+@jax.jit
+def _code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
+    margin = painleve_margin(scene, t, state)
+    stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
+    return jnp.where(stopped & (margin < _MARGIN), Code.PAINLEVE, code)
 
 
 @jax.jit
@@ -158,10 +179,34 @@ def _check_names(formulation: str, coordinates: str) -> None:
             raise FieldError(field, value, "is not known", f"use one of {known}")
 
 
+def _check_law(scene: Scene, formulation: str, coordinates: str) -> None:
+    """The paper's equations and coordinates are those of rolling alone."""
+    alone = type(scene.contact) is Rolling and not _has_margin(scene)
+    for field, value, general in (
+        ("simulate.formulation", formulation, "rolling"),
+        ("simulate.coordinates", coordinates, "pole-free"),
+    ):
+        if value != general and not alone:
+            raise FieldError(
+                field,
+                value,
+                "has rolling without slipping only, and no dry resistance",
+                f'use "{general}", or Rolling() without dry resistance',
+            )
+
+
 def _check_start(scene: Scene, start: AnyState) -> None:
     if not isinstance(start, (State, VoronetsState)):
         raise FieldError(
             "simulate.start", start, "must be a State", "make it with rollkane.place"
+        )
+    slips = isinstance(scene.contact, Slipping)
+    if slips != isinstance(start, SlidingState):
+        raise FieldError(
+            "simulate.start",
+            start,
+            f"is no state of a body that {'slips' if slips else 'rolls'}",
+            "place the body in this scene",
         )
     body, base = scene.body.surface, scene.base.surface
     shapes: dict[str, tuple] = {

@@ -26,6 +26,7 @@ class Code:
     BAD_START = 3
     STOPPED = 4
     CHART_EDGE = 5
+    PAINLEVE = 6
 
 
 _REASONS = {
@@ -40,6 +41,9 @@ _REASONS = {
     Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
     'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
     "or with another chart",
+    Code.PAINLEVE: "no normal force fits the friction here (Painleve's paradox): the "
+    "body jams or jumps, which this contact law does not have; lower the friction, or "
+    "look at final_state with rollkane.rolling.painleve_margin",
     Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
 }
 
@@ -118,6 +122,14 @@ class Trajectory(eqx.Module):
     def angular_velocity(self) -> Float[Array, "T 3"]:
         """[rad/s], fixed axes, shape (T, 3)."""
         return self.each(_angular_velocity)
+
+    @property
+    def slip(self) -> Float[Array, "T 3"]:
+        """``U``, of the body's point at the contact over the base [m/s], shape (T, 3).
+
+        FIXED axes; zero where the body rolls.
+        """
+        return self.each(_slip)
 
     @property
     def contact_on_body(self) -> Float[Array, "T 3"]:
@@ -298,6 +310,13 @@ def _orientation(scene: Scene, t: Array, state: Any) -> Float[Array, "4"]:
 def _angular_velocity(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
     contact = contact_of(scene, t, state)
     return matvec(contact.rotation, contact.angular_velocity)
+
+
+def _slip(scene: Scene, t, state) -> Float[Array, "3"]:
+    contact = contact_of(scene, t, state)
+    slip = contact.slip
+    zero = jnp.zeros_like(contact.normal)
+    return zero if slip is None else matvec(contact.rotation, slip)
 
 
 def _contact_on_body(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:

@@ -167,6 +167,8 @@ def chart_contact(
         base_rates=qc_dot,
         base=moving,
         base_angular_velocity=base_turn,
+        slip=None,
+        normal_rate=None,
         shell=shell,
         ground=ground,
         tangents=T,

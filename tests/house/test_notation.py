@@ -7,7 +7,7 @@ from pathlib import Path
 import rollkane as rk
 from rollkane import bodies, contact, quasi_energy
 from rollkane.base_motion import BaseKinematics
-from rollkane.rolling import System
+from rollkane.mass_matrix import System
 from rollkane.supported import Carried, Turning
 from rollkane.voronets import ChartContact
 

@@ -14,7 +14,8 @@ from jaxtyping import Array
 from ..contact import Contact
 from ..coordinates import State, pack, unpack
 from ..loads import AbstractLoad
-from ..rolling import contact_of, field_of, generalized_force, shares
+from ..mass_matrix import field_of, generalized_force, shares
+from ..rolling import contact_of
 from ..scene import Scene
 from ..small_linear import cross
 from ..supported import Carried

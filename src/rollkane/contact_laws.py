@@ -1,0 +1,256 @@
+"""Accelerations under a contact law: rolling, rubber rolling, slipping, resistance.
+
+Rolling alone solves one system. Every further law adds a multiplier: the spin torque of
+rubber, and the normal force where something is proportional to it. Accelerations are
+affine in the multipliers, and so are the conditions that determine them.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .contact import Contact
+from .mass_matrix import System
+from .rotations import tangent_pair
+from .scene import RubberRolling, Scene, Slipping
+from .small_linear import components, cross, dot, matvec_transposed, solve_spd
+from .supported import total
+
+
+class Solution(NamedTuple):
+    """Accelerations at one instant, vectors on BODY axes.
+
+    Attributes:
+        angular_acceleration: ``w'`` [rad/s^2].
+        alpha_ddot: [unit of alpha / s^2], shape (n,).
+        slip_acceleration: Part of the acceleration of the body's point at the contact
+            that the forces determine, along the surface [m/s^2]; None: it rolls.
+        moment: Of the contact on the body [N m]; None: none.
+        margin: What the normal force is divided by [1]; where it is not positive no
+            normal force fits (Painleve); None: nothing is proportional to it.
+    """
+
+    angular_acceleration: Float[Array, "3"]
+    alpha_ddot: Float[Array, " n"]
+    slip_acceleration: Float[Array, "3"] | None = None
+    moment: Float[Array, "3"] | None = None
+    margin: Float[Array, ""] | None = None
+
+
+class Momentum(NamedTuple):
+    """Rate of the momentum, ``K + w' x S + columns alpha''``, on body axes.
+
+    Attributes:
+        mass: Of everything [kg].
+        first_moment: ``S = sum m s`` about the contact point [kg m].
+        known: K less the loads' forces [N]: what the contact force is without w',
+            alpha'' and slip acceleration.
+        columns: ``sum m dr/dalpha`` for each coordinate [kg m per unit].
+    """
+
+    mass: Float[Array, ""]
+    first_moment: Float[Array, "3"]
+    known: Float[Array, "3"]
+    columns: list[Float[Array, "3"]]
+
+    def force(self, solution: Solution) -> Float[Array, "3"]:
+        """Contact force ``Rc = dP/dt - F`` [N] (theory, section 5)."""
+        value = self.known + cross(solution.angular_acceleration, self.first_moment)
+        for column, rate in zip(
+            self.columns, components(solution.alpha_ddot), strict=True
+        ):
+            value = value + rate * column
+        if solution.slip_acceleration is not None:
+            value = value + self.mass * solution.slip_acceleration
+        return value
+
+
+def momentum_rate(scene: Scene, contact: Contact, system: System) -> Momentum:
+    """The rate of the momentum, as far as it is known, and what multiplies the rest.
+
+    Source: theory, section 5.
+    """
+    w, c, mass = contact.angular_velocity, system.arm, scene.body.mass
+    first = mass * c
+    known = mass * (cross(w, cross(w, c)) + system.proper)
+    if system.force is not None:
+        known = known - system.force
+    columns = []
+    for part, s, drive, _ in system.masses:
+        m = part.mass[None]
+        first = first + total(m * s)
+        known = known + total(drive)
+        columns += [total(m * u) for u in part.partials]
+        mass = mass + jnp.sum(part.mass)
+    return Momentum(mass, first, known, columns)
+
+
+def accelerations(
+    scene: Scene, t: Float[Array, ""], contact: Contact, system: System
+) -> Solution:
+    """Accelerations of a scene under its contact law.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        contact: Its contact.
+        system: Its mass matrix and right-hand side.
+
+    Source: theory, sections 4.1 (rolling), 8.2 (rubber), 8.3 (resistance), 8.4
+    (slipping).
+    """
+    resisting = _resistance(scene, contact)
+    law = scene.contact
+    if isinstance(law, Slipping):
+        return _slipping(scene, contact, system, resisting)
+    pushes: list[_Push] = []
+    if isinstance(law, RubberRolling):
+        pushes.append(_against_spin(contact, len(system.rows)))
+    if resisting is not None:
+        pushes.append(_by_normal_force(scene, contact, system, resisting, []))
+    if not pushes:
+        return _parted(solve_spd(system.rows, system.rhs))
+    x, multipliers, margin = _solve(system.rows, system.rhs, pushes)
+    torques = [
+        z * jnp.stack(push.force[:3])
+        for z, push in zip(multipliers, pushes, strict=True)
+    ]
+    return _parted(x)._replace(moment=sum(torques[1:], torques[0]), margin=margin)
+
+
+class _Push(NamedTuple):
+    """A force of unknown size z, and the condition ``row . x + own z = value``.
+
+    ``force`` and ``row`` have one entry for each acceleration; ``signed`` says that z
+    is a normal force, whose friction acts with its size.
+    """
+
+    force: list[Array]
+    row: list[Array]
+    own: float
+    value: Array
+    signed: bool
+
+
+def _against_spin(contact: Contact, count: int) -> _Push:
+    """Spin torque about the normal: ``d/dt (w - w_c) . N = 0``."""
+    N, Om = contact.normal, contact.relative_angular_velocity
+    assert contact.normal_rate is not None
+    value = -dot(Om, contact.normal_rate)
+    base = contact.base
+    if base is not None and base.angular_acceleration is not None:
+        turned = matvec_transposed(contact.to_base, base.angular_acceleration)
+        value = value + dot(N, turned)
+    column = [*components(N), *[jnp.zeros_like(value)] * (count - 3)]
+    return _Push(column, column, 0.0, value, False)
+
+
+def _by_normal_force(
+    scene: Scene, contact: Contact, system: System, moment, along: list
+) -> _Push:
+    """What is proportional to the normal force ``N = -Rc . N``, for one newton."""
+    P = momentum_rate(scene, contact, system)
+    N = contact.normal
+    zero = jnp.zeros_like(P.mass)
+    torque = [zero] * 3 if moment is None else components(moment)
+    row = [*components(cross(P.first_moment, N)), *(dot(u, N) for u in P.columns)]
+    force = [*torque, *([zero] * len(P.columns)), *along]
+    return _Push(force, row + [zero] * len(along), 1.0, -dot(P.known, N), True)
+
+
+def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solution:
+    """Two more accelerations: of the point at the contact, along the surface."""
+    P = momentum_rate(scene, contact, system)
+    slip = contact.slip
+    assert isinstance(scene.contact, Slipping)
+    assert slip is not None
+    friction = scene.contact.friction
+    rows, rhs = [list(row) for row in system.rows], list(system.rhs)
+    zero = jnp.zeros_like(P.mass)
+    pair = tangent_pair(contact.normal)
+    push = -P.known
+    by_itself = friction.force(slip)
+    if by_itself is not None:
+        push = push + by_itself
+    for m, e in enumerate(pair):
+        across = components(cross(P.first_moment, e))
+        own = [dot(u, e) for u in P.columns]
+        rows.append([*across, *own, *([zero] * m), P.mass])
+        rhs.append(dot(push, e))
+    ratio = friction.ratio(slip)
+    if ratio is None and resisting is None:
+        x, margin, moment = solve_spd(rows, rhs), None, None
+    else:
+        along = [zero, zero] if ratio is None else [dot(ratio, e) for e in pair]
+        pushes = [_by_normal_force(scene, contact, system, resisting, along)]
+        x, (N,), margin = _solve(rows, rhs, pushes)
+        moment = None if resisting is None else N * resisting
+    slid = x[-2] * pair[0] + x[-1] * pair[1]
+    solution = _parted(x[:-2])
+    return solution._replace(slip_acceleration=slid, moment=moment, margin=margin)
+
+
+def _parted(x: list[Array]) -> Solution:
+    turn, own = jnp.stack(x[:3]), x[3:]
+    return Solution(turn, jnp.stack(own) if own else jnp.zeros(0, turn.dtype))
+
+
+def _resistance(scene: Scene, contact: Contact) -> Float[Array, "3"] | None:
+    """Moment of all dry resistance for one newton of normal force [m], body axes."""
+    moments = [load.moment_by_normal_force(contact) for load in scene.loads]
+    moments = [moment for moment in moments if moment is not None]
+    return sum(moments[1:], moments[0]) if moments else None
+
+
+def _solve(rows, rhs, pushes: list[_Push]):
+    """Accelerations, sizes of the pushes, and the Painleve margin.
+
+    The contact is bilateral: where it pulls, friction still acts against the motion,
+    with the size of the normal force.
+    """
+    bare = solve_spd(rows, rhs)
+    answers = [solve_spd(rows, push.force) for push in pushes]
+
+    def sized(sense):
+        """Sizes, what the normal force is a quotient of, and its divisor."""
+        signs = [sense if push.signed else 1.0 for push in pushes]
+        matrix = [
+            [
+                s * _dot(push.row, answer) + (push.own if i == k else 0.0)
+                for k, (s, answer) in enumerate(zip(signs, answers, strict=True))
+            ]
+            for i, push in enumerate(pushes)
+        ]
+        left = [push.value - _dot(push.row, bare) for push in pushes]
+        if len(pushes) == 1:
+            return [left[0] / matrix[0][0]], left[0], matrix[0][0]
+        # the first is the spin torque: eliminated
+        (a, b), (c, d) = matrix
+        top, margin = left[1] - c * left[0] / a, d - c * b / a
+        N = top / margin
+        return [(left[0] - b * N) / a, N], top, margin
+
+    sizes, top, margin = sized(1.0)
+    if not any(push.signed for push in pushes):
+        margin = None
+    else:
+        other, _, other_margin = sized(-1.0)
+        pulls = top < 0.0
+        margin = jnp.where(pulls, other_margin, margin)
+        sizes = [
+            jnp.where(margin > 0.0, jnp.where(pulls, b, a), jnp.nan)
+            for a, b in zip(sizes, other, strict=True)
+        ]
+    effective = [
+        jnp.abs(z) if push.signed else z for z, push in zip(sizes, pushes, strict=True)
+    ]
+    x = list(bare)
+    for z, answer in zip(effective, answers, strict=True):
+        x = [a + z * b for a, b in zip(x, answer, strict=True)]
+    return x, effective, margin
+
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    products = [x * y for x, y in zip(a, b, strict=True)]
+    return sum(products[1:], products[0])
