@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from . import __version__
+from .scene import Slipping
 from .trajectory import Trajectory
 from .whole_file import write_whole
 
@@ -48,6 +49,7 @@ _MOVING = {
     "moving_energy": ((), "energy less v_Oc . P and w_c . J", "J", ""),
 }
 _WORK = {"power": ((), "rate at which energy is given to the system", "W", "")}
+_SLIDING = {"slip": (_AXIS, "velocity of the body over the base", "m/s", "fixed")}
 _SUPPORTED = {
     "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
     "alpha_dot": (("coordinate",), "their rates", "", ""),
@@ -64,8 +66,9 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         Variables over ``time`` [s]: ``position``, ``orientation``,
         ``angular_velocity``, ``contact_on_body``, ``contact_on_base``,
         ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
-        something is supported ``alpha``, ``alpha_dot`` and ``power``; where the base
-        moves ``base_position``, ``base_rotation``, ``moving_energy`` and ``power``.
+        something is supported ``alpha`` and ``alpha_dot``; where the base moves
+        ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
+        slips ``slip``; where the energy may change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -85,8 +88,11 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     moving = trajectory.scene.base.motion is not None
     if moving:
         described |= _MOVING
-    if moving or trajectory.scene.supported:
+    scene = trajectory.scene
+    if moving or scene.supported or scene.does_work:
         described |= _WORK
+    if isinstance(scene.contact, Slipping):
+        described |= _SLIDING
     if trajectory.state.alpha.shape[-1]:
         described |= _SUPPORTED
     values = _values(trajectory, tuple(described))
@@ -104,7 +110,10 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         ),
     }
     attributes: dict[str, Any] = {
-        "title": "motion of a rigid body that rolls without slipping",
+        "title": "motion of a rigid body that "
+        + (
+            "slips" if isinstance(scene.contact, Slipping) else "rolls without slipping"
+        ),
         "rollkane_version": __version__,
         "axes_note": "right-handed; base axes "
         + ("by base_rotation" if moving else "coincide with the fixed axes"),

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from .base_motion import BaseKinematics, Spin
 from .checks import FieldError
-from .loads import AbstractLoad
+from .loads import Potential
 from .mass_matrix import field_of, shares
 from .observables import energy, moving_energy
 from .rolling import contact_force, contact_of
@@ -198,7 +198,7 @@ def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
     quaternion = contact.orientation
     if quaternion is None:
         quaternion = quaternion_of(rotation)
-    velocity = cross(arm, spin)  # no slip: the point at the contact moves with the base
+    velocity = cross(arm, spin)  # of the body origin, from the contact point
     if contact.point_velocity is not None:
         velocity = velocity + matvec(rotation, contact.point_velocity)
     return jnp.concatenate(
@@ -275,14 +275,13 @@ def _masses(scene: Scene) -> np.ndarray:
 
 def _kept(scene: Scene) -> str:
     """Which energy a motion of the scene has to keep; "" for none."""
-    driven = any(part.does_work for part in scene.supported)
-    pushed = any(type(load).wrench is not AbstractLoad.wrench for load in scene.loads)
     motion, field = scene.base.motion, field_of(scene.loads)
-    if driven or pushed:
+    if scene.does_work:
         return ""
     if motion is None:
         return "energy"
-    if not isinstance(motion, Spin):
+    fixed_in_space = any(isinstance(load, Potential) for load in scene.loads)
+    if not isinstance(motion, Spin) or fixed_in_space:
         return ""
     if field is not None:
         axis = np.asarray(motion.at(jnp.zeros((), field.dtype)).rotation)[:, 2]

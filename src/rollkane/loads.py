@@ -13,10 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .bodies import Body
-from .checks import FieldError, not_negative, real
+from .checks import not_negative, real
 from .contact import Contact
 from .small_linear import cross, dot, matvec, matvec_transposed
-from .user_function import accepts
+from .user_function import GivenFunction, as_floats
 
 
 class AbstractLoad(eqx.Module):
@@ -45,6 +45,11 @@ class AbstractLoad(eqx.Module):
         """Energy stored against its wrench [J]; None: it is not conservative."""
         del t, body, contact
         return None
+
+    @property
+    def does_work(self) -> bool:
+        """Whether it gives energy to the system or takes some, potentials excepted."""
+        return type(self).wrench is not AbstractLoad.wrench
 
 
 class Gravity(AbstractLoad):
@@ -117,15 +122,16 @@ class Force(AbstractLoad):
         Raises:
             FieldError: not three numbers, or a function of another kind.
         """
-        self.force = _given("Force.force", force, parameters, (3,), "newtons")
+        self.parameters = as_floats(parameters)
+        self.force = _given("Force.force", force, self.parameters, "newtons")
         self.point = real("Force.point", point, (3,), "metres, body axes")
-        self.parameters = parameters
 
     def wrench(self, t, body, contact):
         """The force, and its moment about the contact point."""
         del body
-        moving = point_motion(contact, self.point)
-        force = _value(self.force, self.parameters, t, moving)
+        force = self.force
+        if isinstance(force, GivenFunction):
+            force = force(t, point_motion(contact, self.point), self.parameters)
         force = matvec_transposed(contact.rotation, force)
         return force, cross(self.point - contact.body_point, force)
 
@@ -153,14 +159,17 @@ class Torque(AbstractLoad):
         Raises:
             FieldError: not three numbers, or a function of another kind.
         """
-        self.torque = _given("Torque.torque", torque, parameters, (3,), "newton metres")
-        self.parameters = parameters
+        self.parameters = as_floats(parameters)
+        field = "Torque.torque"
+        self.torque = _given(field, torque, self.parameters, "newton metres")
 
     def wrench(self, t, body, contact):
         """No force, and the torque."""
         del body
         zero = jnp.zeros_like(contact.normal)
-        torque = _value(self.torque, self.parameters, t, point_motion(contact, zero))
+        torque = self.torque
+        if isinstance(torque, GivenFunction):
+            torque = torque(t, point_motion(contact, zero), self.parameters)
         return zero, matvec_transposed(contact.rotation, torque)
 
 
@@ -191,19 +200,21 @@ class Potential(AbstractLoad):
         Raises:
             FieldError: no function, or one of another kind.
         """
-        field = "Potential.potential"
-        if not callable(potential):
-            raise FieldError(
-                field, potential, "must be a function", "give V(position), in joules"
-            )
-        place = (jnp.zeros(3), *_more(parameters))
-        _check(field, potential, place, ())
-        self.potential = potential
+        self.parameters = as_floats(parameters)
+        field, place = "Potential.potential", (jnp.zeros(3),)
+        meaning = "(position)"
+        self.potential = GivenFunction(
+            field, potential, (), place, self.parameters, meaning
+        )
         self.point = real("Potential.point", point, (3,), "metres, body axes")
-        self.parameters = parameters
+
+    @property
+    def does_work(self) -> bool:
+        """False: what it gives was stored in it."""
+        return False
 
     def _energy(self, position):
-        return self.potential(position, *_more(self.parameters))
+        return self.potential(position, self.parameters)
 
     def potential_energy(self, t, body, contact):
         """The potential where the point is [J]."""
@@ -284,37 +295,10 @@ def _point_velocity(contact: Contact, arm) -> Float[Array, "3"]:
     return v if moved is None else moved + v
 
 
-def _more(parameters: Any) -> tuple:
-    return () if parameters is None else (parameters,)
-
-
-def _given(field: str, value, parameters, shape, unit: str):
+def _given(field: str, value, parameters, unit: str) -> Any:
     """Constant components, or a checked function of the time and a point."""
     if not callable(value):
-        return real(field, value, shape, f"three components in {unit}, or a function")
-    count = 2 + len(_more(parameters))
-    if not accepts(value, count):
-        raise FieldError(
-            field,
-            value,
-            "has a signature that does not fit",
-            "let it take (t, point)" + (", parameters" if count > 2 else ""),
-        )
+        return real(field, value, (3,), f"three components in {unit}, or a function")
     still = PointMotion(jnp.zeros(3), jnp.zeros(3), jnp.eye(3), jnp.zeros(3))
-    _check(field, value, (jnp.zeros(()), still, *_more(parameters)), shape)
-    return value
-
-
-def _check(field: str, function, arguments, shape) -> None:
-    remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
-    try:
-        found = jnp.shape(jax.eval_shape(function, *arguments))
-    except Exception as error:
-        problem = f"cannot be traced by JAX ({error})"
-        raise FieldError(field, function, problem, remedy) from error
-    if found != shape:
-        raise FieldError(field, function, f"returns shape {found}", remedy)
-
-
-def _value(given: Any, parameters, t, moving: PointMotion) -> Any:
-    return given(t, moving, *_more(parameters)) if callable(given) else given
+    example = jnp.zeros(()), still
+    return GivenFunction(field, value, (3,), example, parameters, "(t, point)")

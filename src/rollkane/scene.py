@@ -180,6 +180,12 @@ class Scene(eqx.Module):
         """Number n of coordinates alpha of all that is supported."""
         return sum(part.count for part in self.supported)
 
+    @property
+    def does_work(self) -> bool:
+        """Whether anything but the base's motion may change the energy."""
+        active = any(part.does_work for part in (*self.supported, *self.loads))
+        return active or isinstance(self.contact, Slipping)
+
 
 def _require(field: str, value, kind, remedy: str) -> None:
     if not isinstance(value, kind):

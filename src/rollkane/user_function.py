@@ -5,6 +5,7 @@ callable that holds arrays, such as an ``equinox`` module, stays a tree of array
 is differentiated like any other part of a scene.
 """
 
+import functools
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -57,7 +58,7 @@ class UserFunction(eqx.Module):
             raise FieldError(
                 field, function, "must be a function", "give a function of JAX arrays"
             )
-        self.parameters = jax.tree.map(_as_float, parameters)
+        self.parameters = as_floats(parameters)
         takes = int(parameters is not None)
         forms = [(count, takes), (1, takes)]
         if of_array:
@@ -122,6 +123,87 @@ def _call(function, spread, takes_parameters, parameters, coordinates) -> Array:
     if takes_parameters:
         arguments.append(parameters)
     return function(*arguments)
+
+
+class GivenFunction(eqx.Module):
+    """A user's function of several arguments, with a value of known shape."""
+
+    _arrays: Any
+    _fixed: Any = eqx.field(static=True)
+    _takes_more: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        field: str,
+        function: Callable,
+        shape: tuple[int, ...] | None,
+        example: tuple,
+        more: Any,
+        meaning: str,
+    ):
+        """Wrap it; refused if it does not give ``shape``.
+
+        Args:
+            field: Name used in errors.
+            function: The user's.
+            shape: Of its value; None for anything.
+            example: Arguments of the right shapes.
+            more: What it gets behind them if it cannot be called without.
+            meaning: Of the arguments, for errors: ``(t, q, u)``.
+
+        Raises:
+            FieldError: no function, or one of another shape or signature.
+        """
+        if not callable(function):
+            raise FieldError(
+                field,
+                function,
+                "must be a function",
+                f"give a function of {meaning}, and of the parameters if it needs them",
+            )
+        count = len(example)
+        self._takes_more = not accepts(function, count)  # defaults are the user's own
+        if self._takes_more and not accepts(function, count + 1):
+            raise FieldError(
+                field,
+                function,
+                "has a signature that does not fit",
+                f"let it take {meaning}, and then the parameters if there are any",
+            )
+        remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
+        call = functools.partial(_value, self._takes_more)
+        example = (*example, more)
+        try:
+            program, value, _ = eqx.filter_make_jaxpr(call)(function, *example)
+        except Exception as error:
+            problem = f"cannot be traced by JAX ({error})"
+            raise FieldError(field, function, problem, remedy) from error
+        if shape is not None and getattr(value, "shape", None) != shape:
+            found = jax.tree.map(jnp.shape, value)
+            raise FieldError(field, function, f"returns shape {found}", remedy)
+        if is_traced(*program.consts):
+            # a closure would hide a traced number from differentiation
+            closed = functools.partial(call, function)
+            function = eqx.filter_closure_convert(closed, *example)
+            self._takes_more = True
+        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Its value, at arguments of which the last is what it may not want."""
+        function = eqx.combine(self._arrays, self._fixed)
+        return _value(self._takes_more, function, *arguments)
+
+
+def _value(takes_more: bool, function, *arguments) -> Any:
+    value = function(*(arguments if takes_more else arguments[:-1]))
+    if isinstance(value, list):
+        value = jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in value])
+    return value
+
+
+def as_floats(tree: Any) -> Any:
+    """A tree of numbers with plain ones as arrays of floats."""
+    return jax.tree.map(_as_float, tree)
 
 
 def _as_float(x: Any) -> Any:

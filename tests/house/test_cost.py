@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import mass_matrix, quasi_energy
+from rollkane import contact, contact_laws, mass_matrix, quasi_energy
 from rollkane.base_motion import BaseKinematics
 from rollkane.bodies import inertia_about
 from rollkane.contact import rolling_contact
@@ -44,6 +44,7 @@ def scenes():
         "implicit-ball": (blob, rk.place(blob, level, spin, origin)),
         "no-load": (no_load, rk.place(no_load, level, spin, origin)),
         **effects(),
+        **laws(),
     }
 
 
@@ -78,6 +79,32 @@ def effects():
         rest = np.zeros(scene.coordinate_count)
         starts[name] = (scene, rk.place(scene, upright, spin, origin, rest, rest))
     return starts
+
+
+def laws():
+    """The same body under each contact law and each load."""
+    body = rk.Body(1.0, 0.01 * np.eye(3), rk.Ellipsoid((0.2, 0.15, 0.1)))
+    contacts = {
+        "rubber": rk.RubberRolling(),
+        "slipping-viscous": rk.Slipping(rk.ViscousFriction(0.1)),
+        "slipping-coulomb": rk.Slipping(rk.CoulombFriction(0.1)),
+        "slipping-stribeck": rk.Slipping(rk.StribeckFriction(0.2, 0.1, 0.1)),
+    }
+    loads = {
+        "drag": rk.Drag(0.1, 0.1, 0.1),
+        "force": rk.Force((1.0, 0.0, 0.0)),
+        "torque": rk.Torque((1.0, 0.0, 0.0)),
+        "potential": rk.Potential(lambda p: jnp.sum(p * p)),
+        "rolling-resistance": rk.RollingResistance(viscous=0.1),
+        "rolling-resistance-dry": rk.RollingResistance(dry=0.1),
+        "spinning-resistance": rk.SpinningResistance(viscous=0.1),
+    }
+    made = {name: rk.Scene(body, contact=law) for name, law in contacts.items()}
+    made |= {
+        name: rk.Scene(body, loads=(rk.Gravity(), load)) for name, load in loads.items()
+    }
+    where = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+    return {name: (scene, rk.place(scene, *where)) for name, scene in made.items()}
 
 
 def traced(derivative, scene, start):
@@ -170,6 +197,11 @@ def test_no_formulation_asks_for_an_effect_that_is_not_there(equations, monkeypa
         monkeypatch.setattr(BaseKinematics, name, locked)
     for room in (mass_matrix, quasi_energy):
         monkeypatch.setattr(room, "total", locked)
+    for name in ("momentum_rate", "_solve", "_slipping", "_against_spin"):
+        assert callable(getattr(contact_laws, name))
+        monkeypatch.setattr(contact_laws, name, locked)
+    assert callable(contact._normal_rate)
+    monkeypatch.setattr(contact, "_normal_rate", locked)
     if equations is None:
         derivative = rk.rolling_derivative
     else:
@@ -179,11 +211,15 @@ def test_no_formulation_asks_for_an_effect_that_is_not_there(equations, monkeypa
 
 def test_an_effect_costs_only_itself(counts):
     """A base that turns steadily is cheaper than one that turns as it likes; a base
-    that only translates adds no rotation; all are dearer than none."""
+    that only translates adds no rotation; all are dearer than none. What does not ask
+    for the normal force does not pay for it."""
     still = counts["at-rest"]
     assert still < counts["translation"] < counts["rotation"]
     assert still < counts["spin"] < counts["rotation"]
     assert still < counts["slider"] < counts["supported-body"]
+    assert all(still < counts[name] for name in laws())
+    assert counts["slipping-viscous"] < counts["slipping-coulomb"]
+    assert counts["rolling-resistance"] < counts["rolling-resistance-dry"]
 
 
 def test_a_second_call_compiles_nothing(caplog):

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..small_linear import components, cross, solve_spd
-from .system import KaneState, KaneSystem, MotionFunction, RigidBody
+from ..user_function import GivenFunction
+from .system import KaneState, KaneSystem, RigidBody
 
 # of the scale of a matrix: a thousand roundings of double precision
 SINGULAR = 1e-12
@@ -205,7 +206,7 @@ def values_of(system: KaneSystem, t, q, u) -> Velocities:
         system.constraints,
         system.kinematics,
     )
-    alone = lambda x: isinstance(x, MotionFunction)
+    alone = lambda x: isinstance(x, GivenFunction)
     return jax.tree.map(lambda f: f(t, q, u, more), functions, is_leaf=alone)
 
 

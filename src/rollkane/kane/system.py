@@ -6,83 +6,16 @@ list of numbers. Velocities are affine in the
 speeds; nothing is derived by hand, partial velocities and accelerations are theirs.
 """
 
-import functools
 from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..bodies import checked_inertia
-from ..checks import FieldError, is_traced, positive
-from ..user_function import accepts
-
-
-class MotionFunction(eqx.Module):
-    """A user's function of ``(t, q, u)`` with a value of known shape."""
-
-    _arrays: Any
-    _fixed: Any = eqx.field(static=True)
-    _takes_more: bool = eqx.field(static=True)
-
-    def __init__(self, field: str, function: Callable, shape, example: tuple):
-        """Wrap it; refused if it does not give ``shape``.
-
-        Args:
-            field: Name used in errors.
-            function: The user's.
-            shape: Of its value; None for anything.
-            example: Arguments of the right shapes: t, q, u, and the parameters (or
-                what ``shared`` makes of them).
-
-        Raises:
-            FieldError: no function, or one of another shape or signature.
-        """
-        if not callable(function):
-            raise FieldError(
-                field,
-                function,
-                "must be a function",
-                "give a function of (t, q, u), and of the parameters if it needs them",
-            )
-        self._takes_more = not accepts(function, 3)  # defaults are the user's own
-        if self._takes_more and not accepts(function, 4):
-            raise FieldError(
-                field,
-                function,
-                "has a signature that does not fit",
-                "let it take (t, q, u), and then the parameters if there are any",
-            )
-        remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
-        call = functools.partial(_value, self._takes_more)
-        try:
-            program, value, _ = eqx.filter_make_jaxpr(call)(function, *example)
-        except Exception as error:
-            problem = f"cannot be traced by JAX ({error})"
-            raise FieldError(field, function, problem, remedy) from error
-        if shape is not None and getattr(value, "shape", None) != shape:
-            found = jax.tree.map(jnp.shape, value)
-            raise FieldError(field, function, f"returns shape {found}", remedy)
-        if is_traced(*program.consts):
-            # a closure would hide a traced number from differentiation
-            closed = functools.partial(call, function)
-            function = eqx.filter_closure_convert(closed, *example)
-            self._takes_more = True
-        self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
-
-    def __call__(self, t, q, u, more) -> Any:
-        """Its value."""
-        function = eqx.combine(self._arrays, self._fixed)
-        return _value(self._takes_more, function, t, q, u, more)
-
-
-def _value(takes_more: bool, function, t, q, u, more) -> Any:
-    value = function(t, q, u, more) if takes_more else function(t, q, u)
-    if isinstance(value, list):
-        value = jnp.stack([jnp.asarray(v, q.dtype) for v in value])
-    return value
+from ..checks import FieldError, positive
+from ..user_function import GivenFunction, as_floats
 
 
 class Particle(eqx.Module):
@@ -154,14 +87,14 @@ class KaneSystem(eqx.Module):
         shared: What several functions need, evaluated once; None for none.
     """
 
-    kinematics: MotionFunction
+    kinematics: GivenFunction
     parts: tuple[Particle | RigidBody, ...]
     loads: tuple[Load, ...]
-    generalized_forces: MotionFunction | None
-    constraints: MotionFunction | None
-    configuration: MotionFunction | None
+    generalized_forces: GivenFunction | None
+    constraints: GivenFunction | None
+    configuration: GivenFunction | None
     parameters: Any
-    shared: MotionFunction | None
+    shared: GivenFunction | None
     coordinates: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     dependent: tuple[int, ...] = eqx.field(static=True)
@@ -216,17 +149,18 @@ class KaneSystem(eqx.Module):
         """
         self.coordinates, self.speeds = coordinates, speeds
         self.auxiliary = auxiliary
-        self.parameters = jax.tree.map(_as_float, parameters)
+        self.parameters = as_floats(parameters)
         example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
         more = self.parameters
         self.shared = None
         if shared is not None:
-            whole = (*example, more)
-            self.shared = MotionFunction("KaneSystem.shared", shared, None, whole)
-            more = eqx.filter_eval_shape(self.shared, *whole)
+            self.shared = GivenFunction(
+                "KaneSystem.shared", shared, None, example, more, "(t, q, u)"
+            )
+            more = eqx.filter_eval_shape(self.shared, *example, more)
 
         def motion(field, function, shape):
-            return MotionFunction(field, function, shape, (*example, more))
+            return GivenFunction(field, function, shape, example, more, "(t, q, u)")
 
         field = "KaneSystem.kinematics"
         self.kinematics = motion(field, kinematics, (coordinates,))
@@ -265,7 +199,7 @@ class KaneSystem(eqx.Module):
             return self.parameters
         return self.shared(t, q, u, self.parameters)
 
-    def at(self, function: MotionFunction, t, q, u) -> Array:
+    def at(self, function: GivenFunction, t, q, u) -> Array:
         """The value of one of its functions."""
         return function(t, q, u, self.more(t, q, u))
 
@@ -291,11 +225,6 @@ class KaneState(eqx.Module):
 
     q: Float[Array, " n"]
     u: Float[Array, " m"]
-
-
-def _as_float(x: Any) -> Any:
-    number = isinstance(x, (int, float)) and not isinstance(x, bool)
-    return jnp.asarray(x, jnp.result_type(float)) if number else x
 
 
 def _checked_part(field: str, part, motion) -> Particle | RigidBody:
@@ -336,7 +265,7 @@ def _chosen(name: str, numbers, count: int) -> tuple[int, ...]:
     return chosen
 
 
-def _bound(motion, name: str, function, of: str, chosen) -> MotionFunction | None:
+def _bound(motion, name: str, function, of: str, chosen) -> GivenFunction | None:
     """Constraints, one for each number that they determine."""
     if function is None and chosen:
         raise FieldError(
