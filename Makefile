@@ -27,6 +27,7 @@ format: .venv/.dev
 bench: .venv/.bench
 	$(BIN)/python benchmarks/single.py --out benchmarks/results
 	$(BIN)/python benchmarks/effects.py --out benchmarks/results
+	$(BIN)/python benchmarks/laws.py --out benchmarks/results
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 

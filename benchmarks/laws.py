@@ -2,10 +2,10 @@
 
     python benchmarks/laws.py [--out FOLDER] [--repeats N]
 
-An ellipsoid with an offset mass centre on a plane, rolling under its weight: equations,
-time to trace and compile, and time of one right-hand side, with every effect alone and
-with every two that can be had together, beside the bare scene. Prints a table, writes it
-as JSON and draws the times of the pairs.
+An ellipsoid with an offset mass centre on a plane, under its weight: equations, time to
+trace and compile, and time of one right-hand side, with every effect alone and with
+every two that can be had together, beside the bare scene. Prints a table, writes it as
+JSON and draws the times of the pairs.
 """
 
 import argparse

@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import rollkane as rk
-from rollkane import bodies, contact, quasi_energy
+from rollkane import bodies, contact, contact_laws, quasi_energy
 from rollkane.base_motion import BaseKinematics
 from rollkane.mass_matrix import System
 from rollkane.supported import Carried, Turning
@@ -27,6 +27,8 @@ OWNERS = {
     "Turning": Turning,
     "VoronetsState": rk.VoronetsState,
     "quasi_energy": quasi_energy,
+    "SlidingState": rk.SlidingState,
+    "Solution": contact_laws.Solution,
     "State": rk.State,
     "Trajectory": rk.Trajectory,
     "bodies": bodies,
