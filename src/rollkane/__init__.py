@@ -21,17 +21,19 @@ _ROOMS = {
     "base_motion": ("BaseMotion", "Spin"),
     "bodies": ("Body",),
     "checks": ("FieldError",),
-    "coordinates": ("SlidingState", "State"),
+    "coordinates": ("FlyingState", "SlidingState", "State"),
     "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
     "friction": ("CoulombFriction", "StribeckFriction", "ViscousFriction"),
     "loads": ("Drag", "Force", "Gravity", "Potential", "Torque"),
+    "modes": ("Mode", "Modes", "Switches"),
     "placement": ("place",),
     "quasi_velocities": ("PaperQuantities", "paper_quantities"),
     "recorded_motion": ("RecordedMotion",),
     "rolling": ("contact_of", "rolling_derivative"),
     "resistance": ("RollingResistance", "SpinningResistance"),
     "scene": ("Base", "Rolling", "RubberRolling", "Scene", "Slipping"),
+    "separation": ("release",),
     "simulation": ("simulate",),
     "state_conversion": ("to_pole_free", "to_voronets"),
     "supported": ("PointMasses", "Prescribed", "SupportedBody"),
@@ -67,6 +69,7 @@ if TYPE_CHECKING:
     from .base_motion import Spin as Spin
     from .bodies import Body as Body
     from .checks import FieldError as FieldError
+    from .coordinates import FlyingState as FlyingState
     from .coordinates import SlidingState as SlidingState
     from .coordinates import State as State
     from .euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative
@@ -79,6 +82,9 @@ if TYPE_CHECKING:
     from .loads import Gravity as Gravity
     from .loads import Potential as Potential
     from .loads import Torque as Torque
+    from .modes import Mode as Mode
+    from .modes import Modes as Modes
+    from .modes import Switches as Switches
     from .placement import place as place
     from .quasi_velocities import PaperQuantities as PaperQuantities
     from .quasi_velocities import paper_quantities as paper_quantities
@@ -92,6 +98,7 @@ if TYPE_CHECKING:
     from .scene import RubberRolling as RubberRolling
     from .scene import Scene as Scene
     from .scene import Slipping as Slipping
+    from .separation import release as release
     from .simulation import simulate as simulate
     from .state_conversion import to_pole_free as to_pole_free
     from .state_conversion import to_voronets as to_voronets

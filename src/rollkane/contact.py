@@ -214,6 +214,39 @@ def rolling_contact(
     )
 
 
+def flight(
+    orientation: Float[Array, "4"],
+    angular_velocity: Float[Array, "3"],
+    position: Float[Array, "3"],
+    velocity: Float[Array, "3"],
+) -> Contact:
+    """What stands for a contact in flight: its point is the body origin.
+
+    Args:
+        orientation: Quaternion, scalar first, body to fixed, any length [1].
+        angular_velocity: Absolute, BODY axes [rad/s].
+        position: Body origin, FIXED axes [m].
+        velocity: Of the body origin, FIXED axes [m/s].
+    """
+    rotation, zero = rotation_matrix(orientation), jnp.zeros_like(position)
+    return Contact(
+        orientation=orientation,
+        rotation=rotation,
+        to_base=rotation,
+        angular_velocity=angular_velocity,
+        normal=zero,
+        body_point=zero,
+        base_point=position,
+        velocity=zero,
+        body_rates=zero[:0],
+        base_rates=zero[:0],
+        base=None,
+        base_angular_velocity=None,
+        slip=matvec_transposed(rotation, velocity),
+        normal_rate=zero,
+    )
+
+
 def _normal_rate(ground: LocalGeometry, to_base, normal, base_turn, x_base):
     """Absolute rate of the normal, on body axes: the base's, the other way round."""
     along = matvec(ground.frame_rates, x_base)

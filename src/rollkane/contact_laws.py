@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from .contact import Contact
 from .mass_matrix import System
 from .rotations import tangent_pair
-from .scene import RubberRolling, Scene, Slipping
+from .scene import Flying, RubberRolling, Scene, Slipping
 from .small_linear import components, cross, dot, matvec_transposed, solve_spd
 from .supported import total
 
@@ -100,8 +100,10 @@ def accelerations(
     Source: theory, sections 4.1 (rolling), 8.2 (rubber), 8.3 (resistance), 8.4
     (slipping).
     """
-    resisting = _resistance(scene, contact)
     law = scene.contact
+    if isinstance(law, Flying):
+        return _flying(scene, contact, system)
+    resisting = _resistance(scene, contact)
     if isinstance(law, Slipping):
         return _slipping(scene, contact, system, resisting)
     pushes: list[_Push] = []
@@ -166,18 +168,13 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
     assert isinstance(scene.contact, Slipping)
     assert slip is not None
     friction = scene.contact.friction
-    rows, rhs = [list(row) for row in system.rows], list(system.rhs)
     zero = jnp.zeros_like(P.mass)
     pair = tangent_pair(contact.normal)
     push = -P.known
     by_itself = friction.force(slip)
     if by_itself is not None:
         push = push + by_itself
-    for m, e in enumerate(pair):
-        across = components(cross(P.first_moment, e))
-        own = [dot(u, e) for u in P.columns]
-        rows.append([*across, *own, *([zero] * m), P.mass])
-        rhs.append(dot(push, e))
+    rows, rhs = _with_point(P, system, pair, push)
     ratio = friction.ratio(slip)
     if ratio is None and resisting is None:
         x, margin, moment = solve_spd(rows, rhs), None, None
@@ -189,6 +186,54 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
     slid = x[-2] * pair[0] + x[-1] * pair[1]
     solution = _parted(x[:-2])
     return solution._replace(slip_acceleration=slid, moment=moment, margin=margin)
+
+
+def _with_point(P: Momentum, system: System, directions, push):
+    """The system with accelerations of the reference point along directions."""
+    rows, rhs = [list(row) for row in system.rows], list(system.rhs)
+    zero = jnp.zeros_like(P.mass)
+    for m, e in enumerate(directions):
+        across = components(cross(P.first_moment, e))
+        own = [dot(u, e) for u in P.columns]
+        rows.append([*across, *own, *([zero] * m), P.mass])
+        rhs.append(dot(push, e))
+    return rows, rhs
+
+
+def _flying(scene: Scene, contact: Contact, system: System) -> Solution:
+    """Three more accelerations: of the body origin, under the loads alone."""
+    P = momentum_rate(scene, contact, system)
+    axes = list(jnp.eye(3, dtype=P.mass.dtype))
+    x = solve_spd(*_with_point(P, system, axes, -P.known))
+    return _parted(x[:-3])._replace(slip_acceleration=jnp.stack(x[-3:]))
+
+
+class Response(NamedTuple):
+    """What one newton second at the contact point changes, vectors on BODY axes.
+
+    Attributes:
+        velocity: Of the body's point at the contact [m/s], shape (3, 3), a column for
+            each direction of the impulse.
+        others: Of the angular velocity [rad/s] and of alpha', shape (3 + n, 3).
+    """
+
+    velocity: Float[Array, "3 3"]
+    others: Float[Array, "m 3"]
+
+
+def impulse_response(scene: Scene, contact: Contact, system: System) -> Response:
+    """Changes of all velocities by an impulse of the base on the body."""
+    P = momentum_rate(scene, contact, system)
+    axes = list(jnp.eye(3, dtype=P.mass.dtype))
+    rows, _ = _with_point(P, system, axes, P.known)
+    zero, one = jnp.zeros_like(P.mass), jnp.ones_like(P.mass)
+    count = len(rows)
+    columns = [
+        jnp.stack(solve_spd(rows, [one if i == k else zero for i in range(count)]))
+        for k in range(count - 3, count)
+    ]
+    whole = jnp.stack(columns, axis=1)
+    return Response(whole[-3:], whole[:-3])
 
 
 def _parted(x: list[Array]) -> Solution:

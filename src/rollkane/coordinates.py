@@ -111,6 +111,52 @@ class SlidingState(State):
         )
 
 
+class FlyingState(State):
+    """State of a body in flight.
+
+    Attributes:
+        orientation: As in ``State`` [1], shape (4,).
+        angular_velocity: On BODY axes [rad/s], shape (3,).
+        contact_on_base: Where the base is nearest, shape (k,).
+        contact_on_body: Where the body is nearest, shape (m,).
+        alpha: Coordinates of what the body supports, shape (n,).
+        alpha_dot: Their rates, shape (n,).
+        position: Body origin, FIXED axes [m], shape (3,).
+        velocity: Of the body origin, FIXED axes [m/s], shape (3,).
+    """
+
+    position: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+
+    def rates(
+        self,
+        contact: Contact,
+        angular_acceleration: Float[Array, "3"],
+        alpha_ddot: Float[Array, " n"],
+        acceleration: Float[Array, "3"] | None = None,
+    ) -> "FlyingState":
+        """Rates of every number of a state, as a state.
+
+        Args:
+            contact: What stands for a contact: its point is the body origin.
+            angular_acceleration: ``w'``, BODY axes [rad/s^2].
+            alpha_ddot: [unit of alpha / s^2].
+            acceleration: Of the body origin, BODY axes [m/s^2].
+        """
+        turning = super().rates(contact, angular_acceleration, alpha_ddot)
+        assert acceleration is not None
+        return FlyingState(
+            turning.orientation,
+            turning.angular_velocity,
+            jnp.zeros_like(self.contact_on_base),
+            jnp.zeros_like(self.contact_on_body),
+            turning.alpha,
+            turning.alpha_dot,
+            position=self.velocity,
+            velocity=matvec(contact.rotation, acceleration),
+        )
+
+
 def pack(state: eqx.Module) -> Float[Array, " y"]:
     """All numbers of a state in one array: what XLA's loops carry fastest."""
     parts = [jnp.atleast_1d(leaf) for leaf in jax.tree.leaves(state)]

@@ -104,10 +104,10 @@ def integrate(
         FieldError: tolerances out of range.
     """
     dtype = times.dtype
-    rtol, atol = _tolerances(rtol, atol, dtype)
+    rtol, atol = tolerances(rtol, atol, dtype)
     plan = _Plan(
         problem=problem,
-        solver=_default_solver(rtol) if solver is None else solver,
+        solver=default_solver(rtol) if solver is None else solver,
         controller=stepsize_controller,
         adjoint=adjoint,
         saveat=saveat,
@@ -338,7 +338,8 @@ def checked_times(times: Any, dtype) -> Float[Array, " T"]:
     return times
 
 
-def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+    """Tolerances, with the defaults of a precision for those that are None."""
     double = dtype == jnp.float64
     rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
     atol = 0.01 * rtol if atol is None else atol
@@ -361,7 +362,7 @@ def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     return rtol, atol
 
 
-def _default_solver(rtol) -> dfx.AbstractSolver:
+def default_solver(rtol) -> dfx.AbstractSolver:
     """Dopri8 where many digits are asked for, Tsit5 where few are."""
     if is_traced(rtol) or rtol < 1e-6:
         return dfx.Dopri8()

@@ -47,6 +47,11 @@ class AbstractLoad(eqx.Module):
         return None
 
     @property
+    def needs_contact(self) -> bool:
+        """Whether it ends with the contact."""
+        return False
+
+    @property
     def does_work(self) -> bool:
         """Whether it gives energy to the system or takes some, potentials excepted."""
         return type(self).wrench is not AbstractLoad.wrench

@@ -45,6 +45,11 @@ class _Resistance(AbstractLoad):
             f"{own}.regularization", regularization, (), "an angular velocity in rad/s"
         )
 
+    @property
+    def needs_contact(self) -> bool:
+        """True."""
+        return True
+
     def resisted(self, contact: Contact) -> Float[Array, "3"]:
         """The part of ``Om`` that it acts against [rad/s], body axes."""
         raise NotImplementedError

@@ -7,9 +7,9 @@ alpha'', on body axes, about the contact point (theory, section 4.1).
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .contact import Contact, rolling_contact
+from .contact import Contact, flight, rolling_contact
 from .contact_laws import accelerations, momentum_rate
-from .coordinates import SlidingState, State
+from .coordinates import FlyingState, SlidingState, State
 from .mass_matrix import assemble
 from .scene import RubberRolling, Scene
 from .small_linear import matvec
@@ -27,6 +27,10 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
     Returns:
         The contact; for a Voronets state a ``ChartContact``.
     """
+    if isinstance(state, FlyingState):
+        return flight(
+            state.orientation, state.angular_velocity, state.position, state.velocity
+        )
     body, base = scene.body.surface, scene.base.surface
     motion = scene.base.motion
     moving = None if motion is None else motion.at(t)
@@ -63,7 +67,7 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
     w_dot, alpha_ddot, slid, *_ = accelerations(scene, t, contact, system)
-    if isinstance(state, SlidingState):
+    if isinstance(state, (SlidingState, FlyingState)):
         return state.rates(contact, w_dot, alpha_ddot, slid)
     return state.rates(contact, w_dot, alpha_ddot)
 

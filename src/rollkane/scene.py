@@ -60,6 +60,10 @@ class Slipping(eqx.Module):
         self.friction = friction
 
 
+class Flying(eqx.Module):
+    """No contact: the body flies under its loads (a mode of a run with ``modes``)."""
+
+
 class Base(eqx.Module):
     """What the body rolls on.
 
@@ -124,7 +128,7 @@ class Scene(eqx.Module):
     base: Base
     supported: tuple[AbstractSupported, ...]
     loads: tuple[AbstractLoad, ...]
-    contact: Rolling | Slipping
+    contact: Rolling | Slipping | Flying
     carries_point: bool = eqx.field(static=True)
 
     def __init__(

@@ -3,22 +3,27 @@
 from typing import Any
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .checks import FieldError, is_traced
-from .coordinates import SlidingState, State
+from .coordinates import FlyingState, SlidingState, State
 from .euler_lagrange import euler_lagrange_derivative
 from .friction import ViscousFriction
+from .hybrid import integrate_modes
 from .integration import (
     Outcome,
     Problem,
     checked_times,
+    default_solver,
     integrate,
+    tolerances,
     warn_single_precision,
 )
+from .modes import Modes
 from .rolling import contact_of, painleve_margin, rolling_derivative
 from .scene import Rolling, Scene, Slipping
 from .state_conversion import to_pole_free, to_voronets
@@ -39,6 +44,7 @@ def simulate(
     atol: float | None = None,
     formulation: str = "rolling",
     coordinates: str = "pole-free",
+    modes: Modes | None = None,
     solver: dfx.AbstractSolver | None = None,
     stepsize_controller: dfx.AbstractStepSizeController | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
@@ -65,6 +71,10 @@ def simulate(
             the paper.
         coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
             at the edges of the surfaces' charts.
+        modes: How the run may change between rolling, slipping and flight; None: the
+            scene's contact law holds throughout. With it the derivatives are those of
+            forward mode; ``stepsize_controller``, ``adjoint``, ``saveat`` and
+            ``progress_meter`` are not used, and time runs forwards.
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
         stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
         adjoint: diffrax adjoint; replaces the derivative along recorded steps.
@@ -84,6 +94,10 @@ def simulate(
     """
     _check_names(formulation, coordinates)
     _check_law(scene, formulation, coordinates)
+    if modes is not None:
+        return _simulate_modes(
+            scene, start, times, modes, rtol, atol, solver, max_steps
+        )
     _check_start(scene, start)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
@@ -115,6 +129,60 @@ def simulate(
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
     )
+
+
+def _simulate_modes(
+    scene: Scene, start, times, modes: Modes, rtol, atol, solver, max_steps
+) -> Trajectory:
+    """A run that changes between rolling, slipping and flight."""
+    if not isinstance(modes, Modes):
+        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
+    known = State, SlidingState, FlyingState
+    if not isinstance(start, known):
+        remedy = "make it with rollkane.place or rollkane.release"
+        raise FieldError("simulate.start", start, "must be a State", remedy)
+    dtype = start.angular_velocity.dtype
+    warn_single_precision(dtype)
+    times = checked_times(times, dtype)
+    if not is_traced(times) and times[-1] < times[0]:
+        raise FieldError(
+            "simulate.times", times, "run backwards", "let them increase with modes"
+        )
+    _check_span(scene, times)
+    rtol, atol = tolerances(rtol, atol, dtype)
+    law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
+    rolls = lambda x: isinstance(x, Rolling)
+    modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
+    scene = eqx.tree_at(lambda s: s.contact, scene, modes, is_leaf=_is_law)
+    outcome = _run_modes(
+        scene,
+        start,
+        jnp.asarray(times),
+        jnp.asarray(rtol, dtype),
+        jnp.asarray(atol, dtype),
+        default_solver(rtol) if solver is None else solver,
+        2**22 if max_steps is None else max_steps,
+    )
+    return Trajectory(
+        time=jnp.asarray(times),
+        state=outcome.state,
+        scene=scene,
+        code=outcome.code,
+        final_time=outcome.final_time,
+        final_state=outcome.final_state,
+        steps=outcome.steps,
+        rejected_steps=outcome.rejected_steps,
+        switches=outcome.switches,
+    )
+
+
+def _is_law(x: Any) -> bool:
+    return isinstance(x, (Rolling, Slipping, Modes))
+
+
+@eqx.filter_jit
+def _run_modes(scene, start, times, rtol, atol, solver, max_steps):
+    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps)
 
 
 def _corners(scene: Scene) -> tuple[Any, bool]:

@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from . import observables
-from .coordinates import State
+from .coordinates import FlyingState, State
+from .modes import Mode, ModedState, Switches, by_mode
 from .rolling import contact_force, contact_of, rolling_derivative
 from .rotations import in_one_sense, quaternion_of
-from .scene import Scene
+from .scene import Scene, Slipping
 from .small_linear import matvec, norm
 from .voronets import AnyState
 
@@ -27,6 +28,7 @@ class Code:
     STOPPED = 4
     CHART_EDGE = 5
     PAINLEVE = 6
+    TOO_MANY_SWITCHES = 7
 
 
 _REASONS = {
@@ -44,6 +46,8 @@ _REASONS = {
     Code.PAINLEVE: "no normal force fits the friction here (Painleve's paradox): the "
     "body jams or jumps, which this contact law does not have; lower the friction, or "
     "look at final_state with rollkane.rolling.painleve_margin",
+    Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
+    "keeps: raise it, or rest_speed if the body comes to rest by ever smaller rebounds",
     Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
 }
 
@@ -66,16 +70,18 @@ class Trajectory(eqx.Module):
         final_state: State at that time.
         steps: Accepted steps.
         rejected_steps: Rejected steps.
+        switches: Changes between rolling, slipping and flight; None in a run without.
     """
 
     time: Float[Array, " T"]
-    state: AnyState
+    state: AnyState | ModedState
     scene: Scene
     code: Int[Array, ""]
     final_time: Float[Array, ""]
-    final_state: AnyState
+    final_state: AnyState | ModedState
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
+    switches: Switches | None = None
 
     def each(self, observable: Callable[[Scene, Array, Any], Any]) -> Any:
         """An observable of one state, at every time of every lane.
@@ -88,6 +94,14 @@ class Trajectory(eqx.Module):
             Its values, shape (T, ...), with the batch in front if there is one.
         """
         return _each(observable, self.scene, self.time, self.state)
+
+    @property
+    def mode(self) -> Int[Array, " T"]:
+        """Whether it rolls, slips or flies, one of :class:`Mode`, shape (T,)."""
+        if isinstance(self.state, ModedState):
+            return self.state.mode
+        slips = isinstance(self.scene.contact, Slipping)
+        return jnp.full(self.time.shape, Mode.SLIPPING if slips else Mode.ROLLING)
 
     @property
     def succeeded(self) -> Array:
@@ -111,7 +125,7 @@ class Trajectory(eqx.Module):
         Continuous in sign.
         """
         orientation = self.each(_orientation)
-        if isinstance(self.state, State):
+        if isinstance(self.state, (State, ModedState)):
             return orientation  # integrated, and so continuous
         sense = in_one_sense
         for _ in range(orientation.ndim - 2):
@@ -167,6 +181,8 @@ class Trajectory(eqx.Module):
         outputs on the cubic through values and slopes of the normal force, so its
         error falls with the fourth power of the distance of the outputs.
         """
+        if self.switches is not None:
+            return self.switches.first_lift
         return _first_pull(self.time, self.scene, self.state)
 
     @property
@@ -316,15 +332,19 @@ def _slip(scene: Scene, t, state) -> Float[Array, "3"]:
     contact = contact_of(scene, t, state)
     slip = contact.slip
     zero = jnp.zeros_like(contact.normal)
+    if isinstance(state, FlyingState):
+        return zero
     return zero if slip is None else matvec(contact.rotation, slip)
 
 
 def _contact_on_body(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
-    return contact_of(scene, t, state).body_point
+    point = contact_of(scene, t, state).body_point
+    return jnp.full_like(point, jnp.nan) if isinstance(state, FlyingState) else point
 
 
 def _contact_on_base(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
-    return contact_of(scene, t, state).base_point
+    point = contact_of(scene, t, state).base_point
+    return jnp.full_like(point, jnp.nan) if isinstance(state, FlyingState) else point
 
 
 def _base_position(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
@@ -341,6 +361,8 @@ def _base_rotation(scene: Scene, t: Array, state: Any) -> Float[Array, "3 3"]:
 
 @eqx.filter_jit
 def _each(observable: Any, scene: Scene, time: Array, state: Any) -> Array:
+    if isinstance(state, ModedState):
+        observable = by_mode(observable)
     mapped = jax.vmap(observable, in_axes=(None, 0, 0))
     for _ in range(state.angular_velocity.ndim - 2):
         mapped = jax.vmap(mapped)

@@ -40,10 +40,13 @@ LADDER = [
     "euler_lagrange",
     # 3 motion
     "placement",
+    "separation",
+    "modes",
     "steps",
     "differentiate",
     "trajectory",
     "integration",
+    "hybrid",
     "simulation",
     "kane",
     # 5 outside

@@ -36,6 +36,11 @@ NAMES = {
     "RubberRolling",
     "Slipping",
     "SlidingState",
+    "FlyingState",
+    "Mode",
+    "Modes",
+    "Switches",
+    "release",
     "euler_lagrange_derivative",
     "kane",
     "paper_quantities",
@@ -109,7 +114,7 @@ def test_importing_changes_no_setting():
 
 
 WITHOUT_UNITS = ("Plane", "Rolling", "RubberRolling", "Slipping", "Scene", "Base")
-WITHOUT_UNITS += ("Code", "FieldError")
+WITHOUT_UNITS += ("Code", "FieldError", "Mode")
 KANE = {
     name
     for name, thing in vars(rk.kane).items()

@@ -1,0 +1,282 @@
+"""What a contact may do in a run that changes: roll, slip, fly; and its states.
+
+A scene whose contact is ``Modes`` has three scenes in it, one for each mode.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from .checks import not_negative, positive
+from .coordinates import FlyingState, SlidingState, State
+from .friction import AbstractFriction
+from .rolling import contact_force, contact_of
+from .rotations import rotation_matrix
+from .scene import Flying, Rolling, Scene, Slipping
+from .small_linear import dot, matvec, matvec_transposed, norm
+
+
+class Mode:
+    """What the contact does: values of ``Trajectory.mode`` and ``Switches.mode``."""
+
+    ROLLING = 0
+    SLIPPING = 1
+    FLYING = 2
+
+
+class Modes(eqx.Module):
+    """How a run may change between rolling, slipping and flight.
+
+    Attributes:
+        friction: Coefficient of sliding friction [1]; None: the body never slips.
+        static_friction: Of sticking [1].
+        lifts: Whether the contact ends where it would have to pull.
+        restitution: Of a landing [1]; None: nothing lands.
+        rest_speed: Slower rebounds stay in contact [m/s].
+        switches: How many changes are kept; a run with more ends.
+        contact: How it rolls, where it rolls: that of the scene that is simulated.
+    """
+
+    contact: Rolling
+    friction: Float[Array, ""] | None
+    static_friction: Float[Array, ""] | None
+    restitution: Float[Array, ""] | None
+    rest_speed: Float[Array, ""]
+    lifts: bool = eqx.field(static=True)
+    switches: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        friction=None,
+        static_friction=None,
+        lifts: bool = True,
+        restitution=None,
+        rest_speed=1e-3,
+        switches: int = 64,
+    ):
+        """Make a choice.
+
+        Args:
+            friction: Coefficient of sliding friction [1], zero or more; None: the body
+                never slips.
+            static_friction: Of sticking [1]; that of sliding when left out.
+            lifts: Whether the contact ends where it would have to pull.
+            restitution: Of a landing [1], zero or more; None: nothing lands.
+            rest_speed: Rebounds slower than this stay in contact [m/s], positive.
+            switches: How many changes are kept; a run with more ends.
+
+        Raises:
+            FieldError: negative numbers.
+        """
+        self.contact = Rolling()
+        self.friction = self.static_friction = self.restitution = None
+        if friction is not None:
+            unit = "without unit"
+            static = friction if static_friction is None else static_friction
+            self.friction = not_negative("Modes.friction", friction, unit)
+            self.static_friction = not_negative("Modes.static_friction", static, unit)
+        if restitution is not None:
+            self.restitution = not_negative(
+                "Modes.restitution", restitution, "without unit"
+            )
+        self.rest_speed = positive("Modes.rest_speed", rest_speed, (), "a speed in m/s")
+        self.lifts, self.switches = lifts, switches
+
+
+class _Directed(AbstractFriction):
+    """Coulomb friction that passes smoothly through the end of a slip.
+
+    ``-mu (U + eps d) / |U + eps d|`` with the direction d that the slip had: at U = 0
+    the friction is that of the last moment, and the sign of ``U . d`` says when.
+    """
+
+    coefficient: Array
+    direction: Array
+
+    def ratio(self, slip):
+        moved = slip + 1e-9 * self.direction
+        return -self.coefficient * moved / norm(moved)
+
+
+class HybridState(eqx.Module):
+    """A state that can be in every mode; what the mode does not use stands still."""
+
+    orientation: Array
+    angular_velocity: Array
+    contact_on_base: Array
+    contact_on_body: Array
+    alpha: Array
+    alpha_dot: Array
+    slip: Array
+    position: Array
+    velocity: Array
+
+    def _shared(self) -> Any:
+        return [
+            self.orientation,
+            self.angular_velocity,
+            self.contact_on_base,
+            self.contact_on_body,
+            self.alpha,
+            self.alpha_dot,
+        ]
+
+    def rolling(self) -> State:
+        """As a state that rolls."""
+        return State(*self._shared())
+
+    def sliding(self) -> SlidingState:
+        """As a state that slips."""
+        return SlidingState(*self._shared(), slip=self.slip)
+
+    def flying(self) -> FlyingState:
+        """As a state in flight."""
+        return FlyingState(
+            *self._shared(), position=self.position, velocity=self.velocity
+        )
+
+
+def of(state: Any) -> HybridState:
+    """A state of one mode among all; what it does not have is zero."""
+    zero = jnp.zeros_like(state.angular_velocity)
+    return HybridState(
+        state.orientation,
+        state.angular_velocity,
+        state.contact_on_base,
+        state.contact_on_body,
+        state.alpha,
+        state.alpha_dot,
+        getattr(state, "slip", zero),
+        getattr(state, "position", zero),
+        getattr(state, "velocity", zero),
+    )
+
+
+class Scenes(NamedTuple):
+    """A scene in every mode."""
+
+    rolling: Scene
+    flying: Scene
+
+
+def in_modes(scene: Scene) -> Scenes:
+    """The scene as it rolls, and as it flies."""
+    kept = tuple(load for load in scene.loads if not load.needs_contact)
+    law = scene.contact.contact if isinstance(scene.contact, Modes) else scene.contact
+    alone = lambda x: x is scene.contact
+    rolls = eqx.tree_at(lambda s: s.contact, scene, law, is_leaf=alone)
+    flying = eqx.tree_at(
+        lambda s: (s.loads, s.contact),
+        scene,
+        (kept, Flying()),
+        is_leaf=lambda x: x is scene.loads or x is scene.contact,
+    )
+    return Scenes(rolls, flying)
+
+
+def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
+    """The scene as it slips; direction of the slip on fixed axes [1]."""
+    own = matvec_transposed(rotation_matrix(state.orientation), direction)
+    law = Slipping(_Directed(mu, own))
+    return eqx.tree_at(
+        lambda s: s.contact, scene, law, is_leaf=lambda x: x is scene.contact
+    )
+
+
+def press_and_pull(scene: Scene, t, state) -> tuple[Array, Array]:
+    """Normal force [N], and the force along the surface [N], fixed axes."""
+    contact = contact_of(scene, t, state)
+    force = contact_force(scene, t, state)
+    out = matvec(contact.rotation, contact.normal)
+    press = -dot(force, out)
+    return press, force + press * out
+
+
+class ModedState(eqx.Module):
+    """A state of a run in modes, with the mode that it was in.
+
+    Attributes:
+        parts: The state in every mode.
+        mode: One of :class:`Mode`; -1 where not reached.
+        direction: Of the slip, or what it last was, FIXED axes [1], shape (3,).
+    """
+
+    parts: HybridState
+    mode: Int[Array, ""]
+    direction: Float[Array, "3"]
+
+    @property
+    def alpha(self) -> Array:
+        """Coordinates of what the body supports, shape (n,)."""
+        return self.parts.alpha
+
+    @property
+    def alpha_dot(self) -> Array:
+        """Their rates, shape (n,)."""
+        return self.parts.alpha_dot
+
+    @property
+    def orientation(self) -> Array:
+        """Quaternion, scalar first, body to fixed axes, of any length [1]."""
+        return self.parts.orientation
+
+    @property
+    def angular_velocity(self) -> Array:
+        """On BODY axes [rad/s], shape (3,)."""
+        return self.parts.angular_velocity
+
+
+def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
+    """An observable of one mode's scene and state, as one of a state in modes.
+
+    Args:
+        observable: Function of a scene, the time [s] and a state.
+    """
+
+    def seen(scene: Scene, t: Array, state: ModedState) -> Any:
+        modes, y = scene.contact, state.parts
+        assert isinstance(modes, Modes)
+        scenes = in_modes(scene)
+        found = [observable(scenes.rolling, t, y.rolling())]
+        slips = found[0]
+        if modes.friction is not None:
+            slides = slipping(scene, modes.friction, state.direction, y)
+            slips = observable(slides, t, y.sliding())
+        found += [slips, observable(scenes.flying, t, y.flying())]
+        pick = lambda *values: jnp.select(
+            [state.mode == m for m in (Mode.ROLLING, Mode.SLIPPING, Mode.FLYING)],
+            values,
+            jnp.nan,
+        )
+        return jax.tree.map(pick, *found)
+
+    return seen
+
+
+class Switches(eqx.Module):
+    """Changes of the mode in a run, in order; unused places are NaN.
+
+    Attributes:
+        time: [s], shape (S,).
+        before: Mode before, one of :class:`Mode`, shape (S,).
+        after: Mode after, shape (S,).
+        state: After the change, every array with a leading S.
+        count: How many there were.
+    """
+
+    time: Float[Array, " S"]
+    before: Int[Array, " S"]
+    after: Int[Array, " S"]
+    state: HybridState
+    count: Int[Array, ""]
+
+    @property
+    def first_lift(self) -> Float[Array, ""]:
+        """When the contact was first lost [s]; NaN where it never was."""
+        lost = (self.after == Mode.FLYING) & (self.before != Mode.FLYING)
+        first = jnp.min(jnp.where(lost, self.time, jnp.inf), axis=-1)
+        return jnp.where(jnp.isfinite(first), first, jnp.nan)

@@ -1,0 +1,201 @@
+"""Runs that change between rolling, slipping and flight, against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.checks import FieldError
+from tests.problems import reference_case
+
+UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+G, R, MASS = 9.81, 0.11, 6.0
+BALL = rk.Body(MASS, 0.4 * MASS * R**2 * np.eye(3), rk.Sphere(R))
+LANE = rk.Scene(BALL)
+
+
+def thrown(v, mu):
+    """A ball that is put on the lane without turning."""
+    law = rk.Slipping(rk.CoulombFriction(mu))
+    velocity = jnp.stack([v, 0.0 * v, 0.0 * v])
+    return rk.place(rk.Scene(BALL, contact=law), UP, STILL, STILL, velocity=velocity)
+
+
+def grip(v, mu):
+    """When it stops slipping, and where it is at a later time."""
+    until = 2.0 * v / (7.0 * mu * G)
+    at = v * until - 0.5 * mu * G * until**2
+    return until, lambda t: at + 5.0 / 7.0 * v * (t - until)
+
+
+def test_bowling_ball_grips():
+    """The switch to 1e-12 s: friction is constant up to it, and so quadratic."""
+    until, place = grip(8.0, 0.2)
+    times = np.linspace(0.0, 2.0, 9)
+    run = rk.simulate(
+        LANE, thrown(8.0, 0.2), times, modes=rk.Modes(friction=0.2), rtol=1e-10
+    )
+    assert run.succeeded
+    assert run.switches.count == 1
+    np.testing.assert_allclose(run.switches.time[0], until, atol=1e-12)
+    assert run.switches.before[0] == rk.Mode.SLIPPING
+    assert run.switches.after[0] == rk.Mode.ROLLING
+    np.testing.assert_array_equal(run.mode, np.where(times < until, 1, 0))
+    later = times > until
+    np.testing.assert_allclose(run.position[later, 0], place(times[later]), atol=1e-10)
+    np.testing.assert_allclose(R * run.angular_velocity[-1, 1], 40.0 / 7.0, atol=1e-10)
+    np.testing.assert_allclose(run.slip[later], 0.0, atol=0.0)
+
+
+def far(v, mu):
+    """Where the ball is after two seconds."""
+    run = rk.simulate(
+        LANE, thrown(v, mu), [0.0, 2.0], modes=rk.Modes(friction=mu), rtol=1e-10
+    )
+    return run.position[-1, 0]
+
+
+def test_derivatives_go_through_the_switch():
+    exact = lambda v, mu: grip(v, mu)[1](2.0)
+    derivatives = jax.jit(
+        lambda a, b: jax.jvp(far, (jnp.asarray(8.0), jnp.asarray(0.2)), (a, b))[1]
+    )
+    found = derivatives(1.0, 0.0), derivatives(0.0, 1.0)
+    expected = jax.grad(exact, (0, 1))(8.0, 0.2)
+    np.testing.assert_allclose(found, expected, rtol=1e-8)
+
+
+def test_lanes_switch_at_different_times():
+    speeds = jnp.array([2.0, 5.0, 8.0])
+    ends = jax.vmap(lambda v: far(v, 0.2))(speeds)
+    expected = [grip(float(v), 0.2)[1](2.0) for v in speeds]
+    np.testing.assert_allclose(ends, expected, atol=1e-9)
+
+
+def test_ball_leaves_a_sphere():
+    """Case c24: when, to 1e-9 s; then a parabola."""
+    scene, start, _ = reference_case("c24")
+    run = rk.simulate(
+        scene, start, np.linspace(0.0, 2.0, 11), modes=rk.Modes(), rtol=1e-12
+    )
+    left = run.switches.time[0]
+    np.testing.assert_allclose(left, 1.43215549401, atol=1e-9)
+    np.testing.assert_allclose(run.first_pull, left)
+    assert run.switches.after[0] == rk.Mode.FLYING
+    begun = run.switches.state
+    since = run.time[-1] - left
+    fall = jnp.array([0.0, 0.0, -0.5 * G]) * since**2
+    expected = begun.position[0] + begun.velocity[0] * since + fall
+    np.testing.assert_allclose(run.position[-1], expected, atol=1e-12)
+    np.testing.assert_allclose(run.contact_force[-1], 0.0, atol=1e-13)
+    np.testing.assert_allclose(run.energy, run.energy[0], rtol=1e-10)
+    assert np.isnan(run.contact_on_base[-1]).all()
+
+
+def test_bounces_fall_by_the_restitution():
+    """Dropped on a plane: heights h e^2, times by the closed form; then it lies still.
+
+    Rebounds below 1e-3 m/s stay: after 0.8^n sqrt(2 g h) < 1e-3.
+    """
+    h, e = 0.5, 0.8
+    start = rk.release(LANE, UP, STILL, (0.0, 0.0, h + R), STILL)
+    modes = rk.Modes(friction=0.3, restitution=e)
+    run = rk.simulate(LANE, start, np.linspace(0.0, 4.0, 5), modes=modes, rtol=1e-10)
+    assert run.succeeded
+    fall = np.sqrt(2.0 * h / G)
+    count = int(np.ceil(np.log(1e-3 / (G * fall)) / np.log(e)))
+    assert run.switches.count == count
+    hits = fall * (1.0 + 2.0 * np.cumsum([0.0, *(e ** np.arange(1, count))]))
+    np.testing.assert_allclose(run.switches.time[:count], hits, atol=1e-10)
+    assert run.switches.after[count - 1] == rk.Mode.ROLLING
+    speeds = run.switches.state.velocity[: count - 1, 2]
+    np.testing.assert_allclose(speeds, G * fall * e ** np.arange(1, count), rtol=1e-9)
+    np.testing.assert_allclose(run.position[-1], [0.0, 0.0, R], atol=1e-12)
+
+
+def test_bounce_in_a_bowl_takes_its_share_of_the_energy():
+    """Without friction only the normal velocity loses: (1 - e^2) of its energy."""
+    bowl = rk.Scene(BALL, rk.Base(rk.Graph(lambda x, y: 0.5 * (x * x + y * y))))
+    start = rk.release(bowl, UP, (0.0, 0.0, 3.0), (0.3, 0.1, 0.8), STILL)
+    modes = rk.Modes(friction=0.0, restitution=0.8, switches=8)
+    run = rk.simulate(bowl, start, [0.0, 0.34, 0.37], modes=modes, rtol=1e-11)
+    assert run.switches.count == 1
+    hit = run.switches.state
+    before = np.array([0.0, 0.0, -G * run.switches.time[0]])
+    change = np.asarray(hit.velocity[0]) - before
+    N = change / np.linalg.norm(change)
+    # the impulse is along the bowl's normal at the contact
+    x, y = np.asarray(hit.contact_on_base[0, :2])
+    slope = np.array([-x, -y, 1.0])
+    np.testing.assert_allclose(N, slope / np.linalg.norm(slope), atol=1e-10)
+    np.testing.assert_allclose(hit.velocity[0] @ N, -0.8 * before @ N, rtol=1e-10)
+    lost = 0.5 * MASS * (1.0 - 0.64) * (before @ N) ** 2
+    np.testing.assert_allclose(run.energy[0] - run.energy[-1], lost, rtol=1e-9)
+
+
+def test_a_pushed_ball_slips_and_grips():
+    """A force that grows beyond what friction can pass on, and falls again.
+
+    F at the centre needs the contact force 2/7 F; it slips from 2/7 F > mu m g.
+    """
+    mu, rise = 0.2, 100.0
+    push = rk.Force(
+        lambda t, point: jnp.stack([rise * jnp.minimum(t, 1.0 - t), 0.0 * t, 0.0 * t])
+    )
+    scene = rk.Scene(BALL, loads=(rk.Gravity(), push))
+    start = rk.place(scene, UP, STILL, STILL)
+    times = np.linspace(0.0, 1.0, 11)
+    run = rk.simulate(scene, start, times, modes=rk.Modes(friction=mu), rtol=1e-10)
+    slips = 3.5 * mu * MASS * G / rise
+    assert run.succeeded
+    np.testing.assert_allclose(run.switches.time[0], slips, atol=1e-10)
+    assert list(run.switches.after[:2]) == [rk.Mode.SLIPPING, rk.Mode.ROLLING]
+    assert run.switches.count == 2
+    # m v' = F - mu m g and J w' = mu m g r; the slip ends where its integral vanishes
+    friction = mu * MASS * G
+    at = float(run.switches.time[1])
+    assert at > 0.5
+    impulse = rise * (0.25 - 0.5 * (slips**2 + (1.0 - at) ** 2))
+    v = impulse - friction * (at - slips)
+    turned = friction * (at - slips) / 0.4
+    np.testing.assert_allclose(v, turned, rtol=1e-8)
+
+
+REFUSED = {
+    "no modes": (
+        lambda: rk.simulate(LANE, None, [0.0, 1.0], modes=0.3),
+        "simulate.modes: must be Modes",
+    ),
+    "backwards": (
+        lambda: rk.simulate(
+            LANE, rk.place(LANE, UP, STILL, STILL), [1.0, 0.0], modes=rk.Modes()
+        ),
+        "simulate.times: run backwards",
+    ),
+    "negative friction": (
+        lambda: rk.Modes(friction=-0.1),
+        "Modes.friction: must not be negative",
+    ),
+    "a body in its base": (
+        lambda: rk.release(LANE, UP, STILL, (0.0, 0.0, 0.05), STILL),
+        "release.position: is in the base",
+    ),
+}
+
+
+@pytest.mark.parametrize(("make", "words"), REFUSED.values(), ids=list(REFUSED))
+def test_refused(make, words):
+    with pytest.raises(FieldError, match=words):
+        make()
+
+
+@pytest.mark.slow
+def test_too_many_bounces_end_with_a_code():
+    start = rk.release(LANE, UP, STILL, (0.0, 0.0, 0.5 + R), STILL)
+    modes = rk.Modes(friction=0.3, restitution=0.8, switches=3)
+    run = rk.simulate(LANE, start, [0.0, 4.0], modes=modes)
+    assert run.code == rk.Code.TOO_MANY_SWITCHES
+    assert "switches" in run.reason
+    assert run.switches.count >= 3
+    assert 0.0 < run.final_time < 4.0
