@@ -66,6 +66,7 @@ def test_derivatives_go_through_the_switch():
     np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_lanes_switch_at_different_times():
     speeds = jnp.array([2.0, 5.0, 8.0])
     ends = jax.vmap(lambda v: far(v, 0.2))(speeds)
@@ -114,6 +115,7 @@ def test_bounces_fall_by_the_restitution():
     np.testing.assert_allclose(run.position[-1], [0.0, 0.0, R], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_bounce_in_a_bowl_takes_its_share_of_the_energy():
     """Without friction only the normal velocity loses: (1 - e^2) of its energy."""
     bowl = rk.Scene(BALL, rk.Base(rk.Graph(lambda x, y: 0.5 * (x * x + y * y))))
