@@ -5,6 +5,7 @@ by coordinates without poles. There are more numbers than degrees of freedom, bu
 pose is an output of the contact, so none of the spare ones can open a gap.
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -61,6 +62,11 @@ class State(eqx.Module):
         )
 
 
+def shared_parts(state: State) -> dict[str, Any]:
+    """What every kind of ``State`` has, by name."""
+    return {f.name: getattr(state, f.name) for f in dataclasses.fields(State)}
+
+
 class SlidingState(State):
     """State of a body that slips, too.
 
@@ -100,15 +106,8 @@ class SlidingState(State):
         assert rate is not None
         assert slip_acceleration is not None
         change = slip_acceleration - contact.normal * dot(slip, rate)
-        return SlidingState(
-            rolling.orientation,
-            rolling.angular_velocity,
-            rolling.contact_on_base,
-            rolling.contact_on_body,
-            rolling.alpha,
-            rolling.alpha_dot,
-            slip=matvec(contact.rotation, change),
-        )
+        moved = matvec(contact.rotation, change)
+        return SlidingState(**shared_parts(rolling), slip=moved)
 
 
 class FlyingState(State):
@@ -145,13 +144,12 @@ class FlyingState(State):
         """
         turning = super().rates(contact, angular_acceleration, alpha_ddot)
         assert acceleration is not None
+        still = {
+            "contact_on_base": jnp.zeros_like(self.contact_on_base),
+            "contact_on_body": jnp.zeros_like(self.contact_on_body),
+        }
         return FlyingState(
-            turning.orientation,
-            turning.angular_velocity,
-            jnp.zeros_like(self.contact_on_base),
-            jnp.zeros_like(self.contact_on_body),
-            turning.alpha,
-            turning.alpha_dot,
+            **(shared_parts(turning) | still),
             position=self.velocity,
             velocity=matvec(contact.rotation, acceleration),
         )

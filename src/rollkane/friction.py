@@ -22,6 +22,11 @@ class AbstractFriction(eqx.Module):
         del slip
         return None
 
+    @property
+    def needs_normal_force(self) -> bool:
+        """Whether a part of it is proportional to the normal force."""
+        return True
+
     @abc.abstractmethod
     def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"] | None:
         """Force for each newton of normal force [1], against the slip; None: none.
@@ -53,6 +58,11 @@ class ViscousFriction(AbstractFriction):
         """
         name = "ViscousFriction.coefficient"
         self.coefficient = not_negative(name, coefficient, "in N s/m")
+
+    @property
+    def needs_normal_force(self) -> bool:
+        """False."""
+        return False
 
     def force(self, slip):
         """``-c U`` [N]."""

@@ -16,6 +16,7 @@ from jaxtyping import Array
 
 from .coordinates import FlyingState, SlidingState, State, pack
 from .modes import (
+    SMALLEST_SLIP,
     HybridState,
     Mode,
     ModedState,
@@ -24,13 +25,13 @@ from .modes import (
     Switches,
     in_modes,
     of,
-    press_and_pull,
     slipping,
 )
-from .rolling import rolling_derivative
+from .rolling import press_and_pull, rolling_derivative
 from .scene import Scene
 from .separation import impact, in_flight, nearest
 from .small_linear import dot, norm
+from .steps import first_step
 from .trajectory import Code
 
 
@@ -232,6 +233,7 @@ class _Loop(eqx.Module):
     def judged(self, c: _Run, tried: _Tried) -> _Verdict:
         """Whether the step stands, and whether it ends on an event."""
         size, taken = tried.size, _fixed(tried.t - c.t)
+        # a few numbers of the clock: no shorter step can be made
         tiny = 4.0 * jnp.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.t))
         share = _fixed(tried.values / jnp.where(c.values > 0.0, c.values, 1.0))
         kind, least = jnp.argmin(share), jnp.min(share)
@@ -245,6 +247,8 @@ class _Loop(eqx.Module):
         event = c.searching & ((jnp.abs(least) <= _ROOT) | closed)
         accept = (good & ~negative & ~c.searching) | event
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y)) or 1
+        # an integral controller with diffrax's margin and lower limit; it grows by five
+        # at most, because behind a change the step before it says little
         factor = jnp.clip(0.9 * jnp.maximum(size, 1e-10) ** (-1.0 / order), 0.2, 5.0)
         factor = jnp.where(jnp.isnan(size) | early, 0.2, factor)
         step = jnp.where(c.searching | begins, c.step, _fixed(taken * factor))
@@ -270,7 +274,8 @@ class _Loop(eqx.Module):
             lambda: (c.mode, c.direction, y),
         )
         fast = dot(y.slip, y.slip)
-        along = (mode == Mode.SLIPPING) & (fast > 1e-12)
+        # a direction is known where the slip is far above the law's smallest
+        along = (mode == Mode.SLIPPING) & (fast > (1e3 * SMALLEST_SLIP) ** 2)
         speed = jnp.sqrt(jnp.where(along, fast, 1.0))
         direction = jnp.where(along, y.slip / speed, direction)
         values = jnp.where(event, jnp.nan, tried.values)
@@ -390,10 +395,10 @@ def _begun(motion: Motion, y: HybridState, mode, times, free: int) -> _Run:
     none = jnp.full(free, jnp.nan, times.dtype)
     blank = jnp.full(free, -1)
     span = jnp.abs(times[-1] - t)
-    step = 0.01 * span / (1.0 + span * norm(y.angular_velocity + 1e-30))
+    step = first_step(_fixed(y.angular_velocity), _fixed(span))
     zero = jnp.zeros_like(t)
     return _Run(
-        t, y, mode, direction, jax.lax.stop_gradient(step), values,
+        t, y, mode, direction, step, values,
         jnp.asarray(False), zero, zero, zero, zero, whole + 1, saved,
         Switches(none, blank, blank, many(free), whole), whole, whole, whole,
     )  # fmt: skip

@@ -27,7 +27,7 @@ _CHECKPOINTS = 4096
 # Steps that a derivative can follow: the record takes 8 bytes a step.
 _RECORDED_STEPS = 2**16
 # A run that creeps towards a singular place must end: a minute at the slowest.
-_UNRECORDED_STEPS = 2**22
+UNRECORDED_STEPS = 2**22
 
 
 class Problem(eqx.Module):
@@ -208,7 +208,7 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     if max_steps is None:
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
-        max_steps = _RECORDED_STEPS if bounded else _UNRECORDED_STEPS
+        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
     solution = dfx.diffeqsolve(
         dfx.ODETerm(rates),
         plan.solver,

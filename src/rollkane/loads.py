@@ -52,6 +52,13 @@ class AbstractLoad(eqx.Module):
         return False
 
     @property
+    def needs_normal_force(self) -> bool:
+        """Whether a part of it is proportional to the normal force."""
+        return type(self).moment_by_normal_force is not (
+            AbstractLoad.moment_by_normal_force
+        )
+
+    @property
     def does_work(self) -> bool:
         """Whether it gives energy to the system or takes some, potentials excepted."""
         return type(self).wrench is not AbstractLoad.wrench

@@ -12,16 +12,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from .checks import not_negative, positive
-from .coordinates import FlyingState, SlidingState, State
+from .coordinates import FlyingState, SlidingState, State, shared_parts
 from .friction import AbstractFriction
-from .rolling import contact_force, contact_of
 from .rotations import rotation_matrix
-from .scene import Flying, Rolling, Scene, Slipping
-from .small_linear import dot, matvec, matvec_transposed, norm
+from .scene import Flying, Rolling, Scene, Slipping, under
+from .small_linear import matvec_transposed, norm
 
 
 class Mode:
-    """What the contact does: values of ``Trajectory.mode`` and ``Switches.mode``."""
+    """What the contact does: values of ``Trajectory.mode`` and of ``Switches``."""
 
     ROLLING = 0
     SLIPPING = 1
@@ -87,6 +86,10 @@ class Modes(eqx.Module):
         self.lifts, self.switches = lifts, switches
 
 
+# [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
+SMALLEST_SLIP = 1e-9
+
+
 class _Directed(AbstractFriction):
     """Coulomb friction that passes smoothly through the end of a slip.
 
@@ -98,62 +101,37 @@ class _Directed(AbstractFriction):
     direction: Array
 
     def ratio(self, slip):
-        moved = slip + 1e-9 * self.direction
+        moved = slip + SMALLEST_SLIP * self.direction
         return -self.coefficient * moved / norm(moved)
 
 
-class HybridState(eqx.Module):
+class HybridState(State):
     """A state that can be in every mode; what the mode does not use stands still."""
 
-    orientation: Array
-    angular_velocity: Array
-    contact_on_base: Array
-    contact_on_body: Array
-    alpha: Array
-    alpha_dot: Array
-    slip: Array
-    position: Array
-    velocity: Array
-
-    def _shared(self) -> Any:
-        return [
-            self.orientation,
-            self.angular_velocity,
-            self.contact_on_base,
-            self.contact_on_body,
-            self.alpha,
-            self.alpha_dot,
-        ]
+    slip: Float[Array, "3"]
+    position: Float[Array, "3"]
+    velocity: Float[Array, "3"]
 
     def rolling(self) -> State:
         """As a state that rolls."""
-        return State(*self._shared())
+        return State(**shared_parts(self))
 
     def sliding(self) -> SlidingState:
         """As a state that slips."""
-        return SlidingState(*self._shared(), slip=self.slip)
+        return SlidingState(**shared_parts(self), slip=self.slip)
 
     def flying(self) -> FlyingState:
         """As a state in flight."""
-        return FlyingState(
-            *self._shared(), position=self.position, velocity=self.velocity
-        )
+        parts = shared_parts(self)
+        return FlyingState(**parts, position=self.position, velocity=self.velocity)
 
 
 def of(state: Any) -> HybridState:
     """A state of one mode among all; what it does not have is zero."""
     zero = jnp.zeros_like(state.angular_velocity)
-    return HybridState(
-        state.orientation,
-        state.angular_velocity,
-        state.contact_on_base,
-        state.contact_on_body,
-        state.alpha,
-        state.alpha_dot,
-        getattr(state, "slip", zero),
-        getattr(state, "position", zero),
-        getattr(state, "velocity", zero),
-    )
+    names = "slip", "position", "velocity"
+    own = {name: getattr(state, name, zero) for name in names}
+    return HybridState(**shared_parts(state), **own)
 
 
 class Scenes(NamedTuple):
@@ -164,36 +142,16 @@ class Scenes(NamedTuple):
 
 
 def in_modes(scene: Scene) -> Scenes:
-    """The scene as it rolls, and as it flies."""
+    """A scene whose contact is ``Modes``, as it rolls and as it flies."""
+    assert isinstance(scene.contact, Modes)
     kept = tuple(load for load in scene.loads if not load.needs_contact)
-    law = scene.contact.contact if isinstance(scene.contact, Modes) else scene.contact
-    alone = lambda x: x is scene.contact
-    rolls = eqx.tree_at(lambda s: s.contact, scene, law, is_leaf=alone)
-    flying = eqx.tree_at(
-        lambda s: (s.loads, s.contact),
-        scene,
-        (kept, Flying()),
-        is_leaf=lambda x: x is scene.loads or x is scene.contact,
-    )
-    return Scenes(rolls, flying)
+    return Scenes(under(scene, scene.contact.contact), under(scene, Flying(), kept))
 
 
 def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
     """The scene as it slips; direction of the slip on fixed axes [1]."""
     own = matvec_transposed(rotation_matrix(state.orientation), direction)
-    law = Slipping(_Directed(mu, own))
-    return eqx.tree_at(
-        lambda s: s.contact, scene, law, is_leaf=lambda x: x is scene.contact
-    )
-
-
-def press_and_pull(scene: Scene, t, state) -> tuple[Array, Array]:
-    """Normal force [N], and the force along the surface [N], fixed axes."""
-    contact = contact_of(scene, t, state)
-    force = contact_force(scene, t, state)
-    out = matvec(contact.rotation, contact.normal)
-    press = -dot(force, out)
-    return press, force + press * out
+    return under(scene, Slipping(_Directed(mu, own)))
 
 
 class ModedState(eqx.Module):

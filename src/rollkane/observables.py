@@ -13,7 +13,7 @@ from .bodies import inertia_about
 from .contact import Contact
 from .contact_laws import accelerations, momentum_rate
 from .mass_matrix import assemble, field_of, shares, times_lower
-from .rolling import contact_force, contact_of
+from .rolling import contact_of, press_and_pull
 from .scene import Scene
 from .small_linear import cross, dot, matvec, norm
 from .supported import Prescribed, total
@@ -203,7 +203,7 @@ def normal_force(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, ""]:
     """Normal force [N]; negative where the contact would have to pull."""
-    return -dot(contact_force(scene, t, state), outward(scene, t, state))
+    return press_and_pull(scene, t, state)[0]
 
 
 def outward(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "3"]:
@@ -216,6 +216,5 @@ def friction_ratio(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, ""]:
     """Friction coefficient that rolling needs, |tangential| / N [1]."""
-    force, out = contact_force(scene, t, state), outward(scene, t, state)
-    press = -dot(force, out)
-    return norm(force + press * out) / press
+    press, pull = press_and_pull(scene, t, state)
+    return norm(pull) / press

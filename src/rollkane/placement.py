@@ -1,6 +1,5 @@
 """Put a body onto its base: find the contact, or say why there is none."""
 
-import dataclasses
 from typing import Any, cast
 
 import equinox as eqx
@@ -11,7 +10,7 @@ from jaxtyping import Array
 
 from .checks import FieldError, is_traced, real, refuse
 from .contact import body_to_base
-from .coordinates import SlidingState, State
+from .coordinates import SlidingState, State, shared_parts
 from .geometry import LocalGeometry, from_normal
 from .mass_matrix import assemble
 from .one_call import for_one_call
@@ -122,7 +121,6 @@ def place(
 
 def _sliding(scene: Scene, time: Array, state: State, velocity: Any) -> SlidingState:
     """The state with the slip that a velocity of the body's origin means."""
-    parts = {f.name: getattr(state, f.name) for f in dataclasses.fields(state)}
     slip = jnp.zeros_like(state.angular_velocity)
     if velocity is not None:
         dtype = slip.dtype
@@ -135,7 +133,7 @@ def _sliding(scene: Scene, time: Array, state: State, velocity: Any) -> SlidingS
             "would take the body off the base, or into it",
             "leave out its part along the normal",
         )
-    return SlidingState(**parts, slip=slip)
+    return SlidingState(**shared_parts(state), slip=slip)
 
 
 @for_one_call

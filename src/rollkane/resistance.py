@@ -1,5 +1,7 @@
 """Resistance against rolling and against spinning on the spot, viscous and dry."""
 
+import abc
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -50,9 +52,14 @@ class _Resistance(AbstractLoad):
         """True."""
         return True
 
+    @property
+    def needs_normal_force(self) -> bool:
+        """Whether it has a dry part."""
+        return self.dry is not None
+
+    @abc.abstractmethod
     def resisted(self, contact: Contact) -> Float[Array, "3"]:
         """The part of ``Om`` that it acts against [rad/s], body axes."""
-        raise NotImplementedError
 
     def wrench(self, t, body, contact):
         """No force, and the viscous moment."""

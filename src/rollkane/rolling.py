@@ -12,7 +12,7 @@ from .contact_laws import accelerations, momentum_rate
 from .coordinates import FlyingState, SlidingState, State
 from .mass_matrix import assemble
 from .scene import RubberRolling, Scene
-from .small_linear import matvec
+from .small_linear import dot, matvec
 from .voronets import AnyState, VoronetsState, chart_contact
 
 
@@ -80,11 +80,25 @@ def contact_force(
     Source: theory, section 5, ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
     dr_i/dalpha alpha'' + beta_i``.
     """
+    return _contact_and_force(scene, t, state)[1]
+
+
+def press_and_pull(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """Normal force [N], negative where it pulls; force along the surface [N], FIXED."""
+    contact, force = _contact_and_force(scene, t, state)
+    out = matvec(contact.rotation, contact.normal)
+    press = -dot(force, out)
+    return press, force + press * out
+
+
+def _contact_and_force(scene: Scene, t, state: AnyState):
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
     solution = accelerations(scene, t, contact, system)
     force = momentum_rate(scene, contact, system).force(solution)
-    return matvec(contact.rotation, force)
+    return contact, matvec(contact.rotation, force)
 
 
 def painleve_margin(

@@ -191,6 +191,13 @@ class Scene(eqx.Module):
         return active or isinstance(self.contact, Slipping)
 
 
+def under(scene: Scene, law, loads=None) -> Scene:
+    """A scene under another contact law, and with other loads if they are given."""
+    alone = lambda x: x is scene.contact or x is scene.loads
+    parts = law, scene.loads if loads is None else loads
+    return eqx.tree_at(lambda s: (s.contact, s.loads), scene, parts, is_leaf=alone)
+
+
 def _require(field: str, value, kind, remedy: str) -> None:
     if not isinstance(value, kind):
         raise FieldError(field, value, f"cannot be a {type(value).__name__}", remedy)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .checks import real, refuse
 from .contact import body_to_base
 from .contact_laws import impulse_response
-from .coordinates import FlyingState, SlidingState
+from .coordinates import FlyingState, SlidingState, shared_parts
 from .mass_matrix import assemble
 from .one_call import for_one_call
 from .rolling import contact_of
@@ -182,23 +182,12 @@ def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingS
     moved = contact.point_velocity
     v = -cross(contact.angular_velocity, contact.body_point)
     v = v if moved is None else v + moved
-    parts = _shared(state)
+    parts = shared_parts(state)
     if contact.orientation is not None:
-        parts[0] = contact.orientation  # brought onto the base's normal
+        parts["orientation"] = contact.orientation  # brought onto the base's normal
     return FlyingState(
-        *parts, position=contact.position, velocity=matvec(contact.rotation, v)
+        **parts, position=contact.position, velocity=matvec(contact.rotation, v)
     )
-
-
-def _shared(state) -> Any:
-    return [
-        state.orientation,
-        state.angular_velocity,
-        state.contact_on_base,
-        state.contact_on_body,
-        state.alpha,
-        state.alpha_dot,
-    ]
 
 
 def impact(
@@ -250,20 +239,19 @@ def impact(
     jump = matvec(others, J)
     after = U + matvec(G, J)
     w, alpha_dot = state.angular_velocity + jump[:3], state.alpha_dot + jump[3:]
-    parts = _shared(state)
-    parts[1], parts[5] = w, alpha_dot
+    parts = shared_parts(state) | {"angular_velocity": w, "alpha_dot": alpha_dot}
     j = contact.base_velocity
     v = after - cross(w, contact.body_point)
     v = v if j is None else v + j
     R = contact.rotation
-    flying = FlyingState(*parts, position=contact.position, velocity=matvec(R, v))
+    flying = FlyingState(**parts, position=contact.position, velocity=matvec(R, v))
     slid = after - N * dot(after, N)
     slid = jnp.where(sticks, 0.0, slid)
-    return flying, SlidingState(*parts, slip=matvec(R, slid)), rebound
+    return flying, SlidingState(**parts, slip=matvec(R, slid)), rebound
 
 
 def _in_contact(scene: Scene, t, state: FlyingState) -> SlidingState:
-    return SlidingState(*_shared(state), slip=jnp.zeros_like(state.velocity))
+    return SlidingState(**shared_parts(state), slip=jnp.zeros_like(state.velocity))
 
 
 def _approach(state: FlyingState, contact) -> Float[Array, "3"]:

@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 from .checks import FieldError, is_traced
 from .coordinates import FlyingState, SlidingState, State
 from .euler_lagrange import euler_lagrange_derivative
-from .friction import ViscousFriction
 from .hybrid import integrate_modes
 from .integration import (
+    UNRECORDED_STEPS,
     Outcome,
     Problem,
     checked_times,
@@ -25,7 +25,7 @@ from .integration import (
 )
 from .modes import Modes
 from .rolling import contact_of, painleve_margin, rolling_derivative
-from .scene import Rolling, Scene, Slipping
+from .scene import Rolling, Scene, Slipping, under
 from .state_conversion import to_pole_free, to_voronets
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
@@ -153,7 +153,7 @@ def _simulate_modes(
     law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
     rolls = lambda x: isinstance(x, Rolling)
     modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
-    scene = eqx.tree_at(lambda s: s.contact, scene, modes, is_leaf=_is_law)
+    scene = under(scene, modes)
     outcome = _run_modes(
         scene,
         start,
@@ -161,7 +161,7 @@ def _simulate_modes(
         jnp.asarray(rtol, dtype),
         jnp.asarray(atol, dtype),
         default_solver(rtol) if solver is None else solver,
-        2**22 if max_steps is None else max_steps,
+        UNRECORDED_STEPS if max_steps is None else max_steps,
     )
     return Trajectory(
         time=jnp.asarray(times),
@@ -174,10 +174,6 @@ def _simulate_modes(
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
     )
-
-
-def _is_law(x: Any) -> bool:
-    return isinstance(x, (Rolling, Slipping, Modes))
 
 
 @eqx.filter_jit
@@ -217,9 +213,8 @@ def _code_at(outcome: Outcome, scene: Scene) -> Array:
 def _has_margin(scene: Scene) -> bool:
     """Whether something is proportional to the normal force."""
     law = scene.contact
-    dry = any(getattr(load, "dry", None) is not None for load in scene.loads)
-    slips = isinstance(law, Slipping) and not isinstance(law.friction, ViscousFriction)
-    return dry or slips
+    slips = isinstance(law, Slipping) and law.friction.needs_normal_force
+    return slips or any(load.needs_normal_force for load in scene.loads)
 
 
 @jax.jit

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from ..checks import FieldError, is_traced
 from ..one_call import for_one_call
-from .equations import as_float, reduced
+from ..user_function import as_time
+from .equations import reduced
 from .refusals import curvature, refuse
 from .system import KaneState, KaneSystem
 
@@ -63,7 +64,7 @@ def linearize(
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
     """
-    t = as_float(t)
+    t = as_time(t)
     free = _chosen("q_ind", q_ind, system.independent_coordinates)
     moving = _chosen("u_ind", u_ind, system.independent)
     if inputs is not None and system.parameters is None:
@@ -124,4 +125,5 @@ def _followed(system: KaneSystem, t, q, shift) -> Float[Array, " n"]:
     bound = jnp.asarray(system.dependent_coordinates, int)
     rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
     F = jax.jacfwd(lambda q: system.at(configuration, t, q, rest))(q)
+    # once for each linear model, not for each step
     return shift.at[bound].set(-jnp.linalg.solve(F[:, bound], F @ shift))

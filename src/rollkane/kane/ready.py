@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from ..checks import FieldError
 from ..rotations import about_axis
+from ..small_linear import cross
 from .system import KaneState, KaneSystem, Load, RigidBody
 
 
@@ -61,7 +62,7 @@ def free_rigid_body(
     def kinematics(t, q, u):
         R = euler_parameters_to_rotation(q[3:])
         e, s, w = q[3:6], q[6], u[3:]
-        turned = 0.5 * (s * w + jnp.cross(e, w))
+        turned = 0.5 * (s * w + cross(e, w))
         return jnp.concatenate([R @ u[:3], turned, -0.5 * jnp.sum(e * w)[None]])
 
     velocity, spin = (lambda t, q, u: u[:3]), (lambda t, q, u: u[3:])
