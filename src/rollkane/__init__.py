@@ -25,6 +25,7 @@ _ROOMS = {
     "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
     "friction": ("CoulombFriction", "StribeckFriction", "ViscousFriction"),
+    "keeping": ("Keeping",),
     "loads": ("Drag", "Force", "Gravity", "Potential", "Torque"),
     "modes": ("Mode", "Modes", "Switches"),
     "placement": ("place",),
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
     from .friction import StribeckFriction as StribeckFriction
     from .friction import ViscousFriction as ViscousFriction
     from .geometry import LocalGeometry as LocalGeometry
+    from .keeping import Keeping as Keeping
     from .loads import Drag as Drag
     from .loads import Force as Force
     from .loads import Gravity as Gravity

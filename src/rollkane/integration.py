@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 from .checks import FieldError, is_traced, real
 from .coordinates import pack, unpack
 from .differentiate import differentiable
+from .keeping import Keeping
 from .steps import Landings, LandOn, ReplaySteps, first_step, landings
 from .trajectory import Code
 
@@ -141,6 +142,8 @@ class _Plan(eqx.Module):
 def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outcome:
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+    if isinstance(plan.solver, Keeping):
+        plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
 
     @jax.jit  # traced once, however often the integrator evaluates it
     def rates(t, y, model):

@@ -42,6 +42,7 @@ LADDER = [
     "placement",
     "separation",
     "modes",
+    "keeping",
     "steps",
     "differentiate",
     "trajectory",

@@ -37,6 +37,7 @@ NAMES = {
     "Slipping",
     "SlidingState",
     "FlyingState",
+    "Keeping",
     "Mode",
     "Modes",
     "Switches",
@@ -114,7 +115,7 @@ def test_importing_changes_no_setting():
 
 
 WITHOUT_UNITS = ("Plane", "Rolling", "RubberRolling", "Slipping", "Scene", "Base")
-WITHOUT_UNITS += ("Code", "FieldError", "Mode")
+WITHOUT_UNITS += ("Code", "FieldError", "Keeping", "Mode")
 KANE = {
     name
     for name, thing in vars(rk.kane).items()
