@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import kane, observables
+from rollkane import kane, observables, rolling
 from rollkane.one_call import for_one_call
 from tests.kane_by_hand import by_hand, with_the_core
 from tests.random_scenes import stacked
@@ -33,7 +33,7 @@ def test_random_scenes(case):
         return (
             (jnp.concatenate([rates.angular_velocity, rates.alpha_dot]), found.u),
             (
-                observables.contact_force(scene, t, state),
+                rolling.contact_force(scene, t, state),
                 kane.reactions(system, t, own),
             ),
             (

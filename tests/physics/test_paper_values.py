@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables
+from rollkane import observables, rolling
 from rollkane.euler_lagrange import EQUATIONS
 from rollkane.quasi_energy import applied
 
@@ -35,7 +35,7 @@ def found_values(sign: int) -> dict[str, float]:
         "j": quantities.j,
         "K": on_e(observables.contact_angular_momentum(scene, NOW, state)),
         "m^M ": applied(scene, NOW, state, contact)[0],
-        "Rc.e": on_e(observables.contact_force(scene, NOW, state)),
+        "Rc.e": on_e(rolling.contact_force(scene, NOW, state)),
     }
     for name, vector in vectors.items():
         values |= {f"{name}{k + 1}": vector[k] for k in range(3)}

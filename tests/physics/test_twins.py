@@ -18,6 +18,7 @@ from rollkane.quasi_energy import (
     kinetic_energy_with_slip,
     place_of,
 )
+from rollkane.rolling import contact_force
 
 from ..by_definition import defined_symbols
 from ..random_scenes import PAIRS, stacked
@@ -145,12 +146,11 @@ def test_both_coordinates_have_the_same_rates(case):
         )
         turned = charts - jnp.cross(contact.frame_turn, state.angular_velocity)
         seen = rk.contact_of(scene, t, plain)
-        force = observables.contact_force
         return (
             (contact.shell.frame @ turned, free),
             (contact.velocity, seen.velocity),
             (contact.position, seen.position),
-            (force(scene, t, state), force(scene, t, plain)),
+            (contact_force(scene, t, state), contact_force(scene, t, plain)),
         )
 
     for charts, free in both(*case):
