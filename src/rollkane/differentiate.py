@@ -8,6 +8,7 @@ transpose, replayed with diffrax's checkpointed adjoint.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -20,19 +21,24 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
-Solve = Callable[..., tuple[PyTree, Array | None]]
+Solve = Callable[..., tuple[PyTree, PyTree]]
 
 
-def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
+def differentiable(
+    solve: Solve, inputs: PyTree, checkpoints: int = 0, pull: Callable | None = None
+) -> PyTree:
     """Run a solve so that it can be differentiated in both modes.
 
     Args:
-        solve: ``solve(inputs, replay, adjoint)`` gives its outputs and the accepted
-            step times. With ``replay`` None it steps adaptively, recording only if
+        solve: ``solve(inputs, replay, adjoint)`` gives its outputs and a record of the
+            accepted steps. With ``replay`` None it steps adaptively, recording only if
             ``adjoint`` is not None; else it takes the steps of ``replay``.
         inputs: Tree that the outputs depend on differentiably.
         checkpoints: States kept by reverse mode; with more steps than these, parts
             are recomputed.
+        pull: ``pull(inputs_of, varied, record, cotangents)`` -> cotangents of the list
+            ``varied``, of which ``inputs_of`` makes the inputs; None: those of the
+            replay by diffrax's adjoint.
 
     Returns:
         The outputs. Derivatives of integer outputs are zero, and those of outputs
@@ -41,25 +47,28 @@ def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
     moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
     leaves, tree = jax.tree.flatten(moving)
 
-    def run(leaves, replay, adjoint):
-        moving = jax.tree.unflatten(tree, leaves)
-        return solve(eqx.combine(moving, fixed), replay, adjoint)
+    def inputs_of(leaves):
+        return eqx.combine(jax.tree.unflatten(tree, leaves), fixed)
 
     @jax.custom_jvp
     def call(*leaves):
-        return run(leaves, None, None)[0]
+        return solve(inputs_of(leaves), None, None)[0]
 
     def call_jvp(primals, tangents):
-        outputs, record = run(primals, None, dfx.ForwardMode())
+        outputs, record = solve(inputs_of(primals), None, dfx.ForwardMode())
         dynamic, static = eqx.partition(outputs, eqx.is_inexact_array)
         values, shape = jax.tree.flatten(dynamic)
         moves = tuple(not isinstance(t, SymbolicZero) for t in tangents)
         live = [t for t, moved in zip(tangents, moves, strict=True) if moved]
         if live:
-            replay = _Replay(run, moves, checkpoints)
+            rows, row_shape = jax.tree.flatten(jax.lax.stop_gradient(record))
+            known = _Known(inputs_of, moves, row_shape, shape)
+            replay = _Replay(solve, known, checkpoints, pull)
             unreached = [jnp.isnan(value) for value in values]
-            residuals = [*primals, jax.lax.stop_gradient(record), *unreached]
-            values_dot = linear_call(replay.forward, replay.backward, residuals, live)
+            residuals = [*primals, *rows, *unreached]
+            values_dot = linear_call(
+                replay.forward, replay.backward, residuals, live, _sizes(values)
+            )
         else:
             values_dot = [jnp.zeros_like(x) for x in values]
         outputs_dot = jax.tree.unflatten(shape, values_dot)
@@ -69,45 +78,70 @@ def differentiable(solve: Solve, inputs: PyTree, checkpoints: int) -> PyTree:
     return call(*leaves)
 
 
-class _Replay:
-    """Derivative of a solve along its recorded steps, and its transpose."""
+class _Known(NamedTuple):
+    """How flat residuals and outputs are to be read."""
 
-    def __init__(self, run: Callable, moves: tuple[bool, ...], checkpoints: int):
-        self.run, self.moves, self.checkpoints = run, moves, checkpoints
+    inputs_of: Callable
+    moves: tuple[bool, ...]  # which inputs have a tangent
+    record: PyTree  # structures
+    outputs: PyTree
 
-    def _prepare(self, residuals, adjoint):
-        """Outputs as a function of the inputs that move, those inputs, NaN masks."""
-        count = len(self.moves)
-        inputs, record, *unreached = residuals[:count], *residuals[count:]
+    def read(self, residuals):
+        """Inputs as a function of those that move, these, the record, NaN masks."""
+        behind = len(self.moves)
+        last = behind + self.record.num_leaves
+        values, unreached = residuals[:behind], residuals[last:]
+        record = jax.tree.unflatten(self.record, residuals[behind:last])
 
-        def outputs_of(varied):
+        def inputs_of(varied):
             varied = iter(varied)
             mixed = [
                 next(varied) if moved else value
-                for value, moved in zip(inputs, self.moves, strict=True)
+                for value, moved in zip(values, self.moves, strict=True)
             ]
-            outputs = self.run(mixed, record, adjoint)[0]
-            return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
+            return self.inputs_of(mixed)
 
-        varied = [v for v, moved in zip(inputs, self.moves, strict=True) if moved]
-        return outputs_of, varied, unreached
+        varied = [v for v, moved in zip(values, self.moves, strict=True) if moved]
+        return inputs_of, varied, record, unreached
+
+
+class _Replay(NamedTuple):
+    """Derivative of a solve along its recorded steps, and its transpose."""
+
+    solve: Solve
+    known: _Known
+    checkpoints: int
+    pull: Callable | None
 
     def forward(self, residuals, tangents) -> list[Array]:
-        outputs_of, varied, unreached = self._prepare(residuals, dfx.ForwardMode())
+        inputs_of, varied, record, unreached = self.known.read(residuals)
+        outputs_of = self._outputs(inputs_of, record, dfx.ForwardMode())
         moved = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
         return [jnp.where(u, jnp.nan, m) for u, m in zip(unreached, moved, strict=True)]
 
     def backward(self, residuals, cotangents) -> list[Array]:
-        adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=self.checkpoints)
-        outputs_of, varied, unreached = self._prepare(residuals, adjoint)
+        inputs_of, varied, record, unreached = self.known.read(residuals)
         # whoever asks for what was not reached gets NaN; who does not, loses nothing
         asked = jnp.zeros((), bool)
         known = []
         for missing, cotangent in zip(unreached, cotangents, strict=True):
             asked |= jnp.any(missing & (cotangent != 0))
             known.append(jnp.where(missing, 0.0, cotangent))
-        moved = jax.vjp(outputs_of, varied)[1](known)[0]
+        if self.pull is None:
+            adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=self.checkpoints)
+            outputs_of = self._outputs(inputs_of, record, adjoint)
+            moved = jax.vjp(outputs_of, varied)[1](known)[0]
+        else:
+            tree = jax.tree.unflatten(self.known.outputs, known)
+            moved = self.pull(inputs_of, varied, record, tree)
         return [jnp.where(asked, jnp.nan, m) for m in moved]
+
+    def _outputs(self, inputs_of, record, adjoint) -> Callable:
+        def outputs_of(varied):
+            outputs = self.solve(inputs_of(varied), record, adjoint)[0]
+            return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
+
+        return outputs_of
 
 
 def _no_tangent(x):
@@ -121,10 +155,11 @@ _linear_p = Primitive("rollkane_linear")
 _linear_p.multiple_results = True
 
 
-def linear_call(forward, backward, residuals, operands) -> list[Array]:
+def linear_call(forward, backward, residuals, operands, outputs) -> list[Array]:
     """Call ``forward(residuals, operands)``, linear in the operands.
 
-    ``backward(residuals, cotangents)`` is its transpose.
+    ``backward(residuals, cotangents)`` is its transpose; ``outputs`` are the shapes and
+    dtypes of what it gives, so that nothing is traced to find them.
     """
     return _linear_p.bind(
         *residuals,
@@ -132,24 +167,28 @@ def linear_call(forward, backward, residuals, operands) -> list[Array]:
         forward=forward,
         backward=backward,
         count=len(residuals),
+        outputs=outputs,
     )
 
 
+def _sizes(arrays) -> tuple[ShapedArray, ...]:
+    return tuple(ShapedArray(x.shape, x.dtype) for x in arrays)
+
+
 @_linear_p.def_impl
-def _run(*args, forward, backward, count):
-    del backward
+def _run(*args, forward, backward, count, outputs):
+    del backward, outputs
     return list(forward(args[:count], args[count:]))
 
 
 @_linear_p.def_abstract_eval
-def _shapes(*args, **parameters):
-    structs = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in args]
-    outputs = jax.eval_shape(lambda *a: _run(*a, **parameters), *structs)
-    return [ShapedArray(o.shape, o.dtype) for o in outputs]
+def _shapes(*args, outputs, **parameters):
+    del args, parameters
+    return list(outputs)
 
 
-def _jvp(primals, tangents, *, forward, backward, count):
-    parameters = {"forward": forward, "backward": backward, "count": count}
+def _jvp(primals, tangents, *, count, **parameters):
+    parameters = {"count": count, **parameters}
     outputs = _linear_p.bind(*primals, **parameters)
     moved = any(not isinstance(t, ad.Zero) for t in tangents[:count])
     tangents = [ad.instantiate_zeros(t) for t in tangents]
@@ -159,38 +198,34 @@ def _jvp(primals, tangents, *, forward, backward, count):
     return outputs, linear
 
 
-def _transpose(cotangents, *args, forward, backward, count):
+def _transpose(cotangents, *args, forward, backward, count, outputs):
     residuals, operands = args[:count], args[count:]
-    shapes = jax.eval_shape(
-        forward,
-        residuals,
-        [jax.ShapeDtypeStruct(a.aval.shape, a.aval.dtype) for a in operands],
-    )
     filled = [
         jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c
-        for c, s in zip(cotangents, shapes, strict=True)
+        for c, s in zip(cotangents, outputs, strict=True)
     ]
-    result = _linear_p.bind(
-        *residuals, *filled, forward=backward, backward=forward, count=count
+    result = linear_call(
+        backward, forward, residuals, filled, _sizes(a.aval for a in operands)
     )
     return [None] * count + list(result)
 
 
-def _batch(args, axes, *, forward, backward, count):
+def _batch(args, axes, *, forward, backward, count, outputs):
     size = next(a.shape[d] for a, d in zip(args, axes, strict=True) if d is not None)
     operands = [
         batching.bdim_at_front(a, d, size)
         for a, d in zip(args[count:], axes[count:], strict=True)
     ]
     in_axes = (list(axes[:count]), 0)
-    outputs = _linear_p.bind(
-        *args[:count],
-        *operands,
-        forward=_mapped(forward, in_axes),
-        backward=_mapped(backward, in_axes),
-        count=count,
+    batched = tuple(ShapedArray((size, *o.shape), o.dtype) for o in outputs)
+    results = linear_call(
+        _mapped(forward, in_axes),
+        _mapped(backward, in_axes),
+        args[:count],
+        operands,
+        batched,
     )
-    return outputs, [0] * len(outputs)
+    return results, [0] * len(results)
 
 
 def _mapped(function, in_axes):

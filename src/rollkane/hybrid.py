@@ -2,11 +2,11 @@
 
 One loop of steps for all modes: an accepted step after which an event function is
 negative is taken back and shortened until it ends on the zero, by a bracketing secant;
-there the mode changes. Steps are constants to differentiation; an event's time moves
-with its zero, by one Newton step of value zero.
+there the mode changes. Derivatives are those of the recorded steps, replayed.
 """
 
-from typing import NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -15,154 +15,53 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .coordinates import FlyingState, SlidingState, State, pack
-from .modes import (
-    SMALLEST_SLIP,
-    HybridState,
-    Mode,
-    ModedState,
-    Modes,
-    Scenes,
-    Switches,
-    in_modes,
-    of,
-    slipping,
-)
-from .rolling import press_and_pull, rolling_derivative
+from .differentiate import differentiable
+from .mode_changes import Motion, Step
+from .mode_replay import Path, Place, Record, pulled_back, replayed, turning
+from .modes import HybridState, Mode, ModedState, Switches, in_modes, of
 from .scene import Scene
-from .separation import impact, in_flight, nearest
-from .small_linear import dot, norm
-from .steps import first_step
+from .steps import Landings, first_step, landings
+from .tableau import tableau_of
 from .trajectory import Code
 
+# Accepted steps that a derivative can follow: about 0.3 kB each.
+_RECORDED_STEPS = 2**14
+_ROOT = 1e-12  # of the event's value at the step's start
 
-class Motion(eqx.Module):
-    """Rates, events and changes of a scene in all its modes."""
 
-    scenes: Scenes
-    modes: Modes
+class _Bracket(NamedTuple):
+    """Steps on both sides of an event.
 
-    def rates(self, mode, direction, t, y: HybridState) -> HybridState:
-        """Of everything that the mode moves; zero for the rest."""
+    Attributes:
+        low: One that ends before it [s].
+        high: One that ends behind it [s].
+        at_low: The event's value there, over that at the beginning.
+        at_high: The same.
+    """
 
-        def rolls():
-            return of(rolling_derivative(self.scenes.rolling, t, y.rolling()))
-
-        def slips():
-            if self.modes.friction is None:
-                return jax.tree.map(jnp.zeros_like, y)
-            scene = slipping(self.scenes.rolling, self.modes.friction, direction, y)
-            return of(rolling_derivative(scene, t, y.sliding()))
-
-        def flies():
-            return of(rolling_derivative(self.scenes.flying, t, y.flying()))
-
-        return jax.lax.switch(mode, [rolls, slips, flies])
-
-    def events(self, mode, direction, t, y: HybridState):
-        """Two numbers that are positive while the mode lasts, and the state.
-
-        In flight its contact coordinates are brought to the nearest points.
-        """
-        endless = jnp.ones_like(t)
-
-        def rolls():
-            press, pull = press_and_pull(self.scenes.rolling, t, y.rolling())
-            grip = endless
-            if self.modes.static_friction is not None:
-                grip = self.modes.static_friction * press - norm(pull)
-            return jnp.stack([grip, press if self.modes.lifts else endless]), y
-
-        def slips():
-            if self.modes.friction is None:
-                return jnp.stack([endless, endless]), y
-            scene = slipping(self.scenes.rolling, self.modes.friction, direction, y)
-            press, _ = press_and_pull(scene, t, y.sliding())
-            on = dot(y.slip, direction)
-            return jnp.stack([on, press if self.modes.lifts else endless]), y
-
-        def flies():
-            if self.modes.restitution is None:
-                return jnp.stack([endless, endless]), y
-            gap, state = nearest(self.scenes.flying, t, y.flying())
-            return jnp.stack([gap, endless]), of(state)
-
-        return jax.lax.switch(mode, [rolls, slips, flies])
-
-    def changed(self, mode, kind, direction, t, y: HybridState):
-        """Mode, direction and state after an event."""
-        rolls, flies = mode == Mode.ROLLING, mode == Mode.FLYING
-        pick = lambda c, a, b: jax.tree.map(lambda x, z: jnp.where(c, x, z), a, b)
-        still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
-        y = pick(rolls, still, y)
-        touching, flying, up = still, y, jnp.asarray(False)
-        if self.modes.restitution is not None:
-            hit, slid, rebound = self._hit(t, y)
-            touching, up = pick(flies, slid, still), rebound > 0.0
-            flying = hit
-        if self.modes.lifts:
-            flying = pick(flies, flying, self._lifted(direction, t, y))
-        fast = dot(touching.slip, touching.slip)
-        slips = fast > 0.0
-        stays, way = self.settled(t, touching)
-        way = jnp.where(
-            slips, touching.slip / jnp.sqrt(jnp.where(slips, fast, 1.0)), way
-        )
-        stays = jnp.where(slips, Mode.SLIPPING, stays)
-        stays = jnp.where(rolls, Mode.SLIPPING, stays)  # what ended was the grip
-        leaves = jnp.where(flies, up, kind == 1)
-        return (
-            jnp.where(leaves, Mode.FLYING, stays),
-            jnp.where(leaves, direction, way),
-            pick(leaves, flying, touching),
-        )
-
-    def _lifted(self, direction, t, y: HybridState) -> HybridState:
-        """In flight, as the contact left it."""
-        return of(in_flight(y.sliding(), self.scenes.rolling, t))
-
-    def _hit(self, t, y: HybridState):
-        """After an impact: in flight, in contact, and the speed of the rebound."""
-        mu, e = self.modes.friction, self.modes.restitution
-        assert e is not None
-        mu = jnp.full_like(t, jnp.inf) if mu is None else mu
-        slow = self.modes.rest_speed
-        flying, slid, rebound = impact(self.scenes.rolling, t, y.flying(), e, mu, slow)
-        return of(flying), of(slid), rebound
-
-    def settled(self, t, y: HybridState):
-        """Mode and direction of a contact without slip: it rolls if it is held."""
-        press, pull = press_and_pull(self.scenes.rolling, t, y.rolling())
-        size = norm(jnp.where(dot(pull, pull) > 0.0, pull, jnp.ones_like(pull)))
-        mode = jnp.asarray(Mode.ROLLING)
-        if self.modes.static_friction is not None:
-            held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
-            mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
-        return mode, -pull / size
+    low: Array
+    high: Array
+    at_low: Array
+    at_high: Array
 
 
 class _Run(NamedTuple):
     """What the loop carries."""
 
-    t: Array
-    y: HybridState
-    mode: Array
-    direction: Array
+    place: Place
     step: Array
     values: Array  # of the events at t; NaN behind a change, where they may be zero
     searching: Array
-    low: Array  # a step that ends before the event, and one behind it [s]
-    high: Array
-    at_low: Array  # the event's value there, over that at t
-    at_high: Array
-    index: Array
-    saved: ModedState
-    switches: Switches
+    bracket: _Bracket
+    landing: Array  # next of the times on which a step must end
+    path: Path
+    record: Record | None
     accepted: Array
     tried: Array
     code: Array
 
 
-class HybridOutcome(NamedTuple):
+class HybridOutcome(eqx.Module):
     """What came out of a run in modes."""
 
     state: ModedState
@@ -174,20 +73,13 @@ class HybridOutcome(NamedTuple):
     rejected_steps: Array
 
 
-_fixed = jax.lax.stop_gradient
-_ROOT = 1e-12  # of the event's value at the step's start
-
-
 class _Tried(NamedTuple):
     """A tried step: where it ended, how good it was, and what it saw of the events."""
 
     t: Array
-    y: HybridState
-    rates: HybridState
+    end: Step
     size: Array  # of its error, over what is allowed
-    values: Array
-    changes: Array  # rates of the events
-    lands: Array  # on an output
+    lands: Array  # on a time that it must end on
 
 
 class _Verdict(NamedTuple):
@@ -197,7 +89,7 @@ class _Verdict(NamedTuple):
     event: Array
     kind: Array
     searching: Array
-    bracket: tuple[Array, Array, Array, Array]
+    bracket: _Bracket
     step: Array
     stuck: Array
 
@@ -207,53 +99,53 @@ class _Loop(eqx.Module):
 
     motion: Motion
     times: Array
+    landings: Landings
     rtol: Array
     atol: Array
-    solver: dfx.AbstractSolver
+    order: int
 
     def tried(self, c: _Run) -> _Tried:
-        """One step: to the next output, to where an event may be, or as proposed."""
-        goal = self.times[c.index]
-        lands = ~c.searching & (goal - c.t <= c.step * (1.0 + 1e-9))
-        length = jnp.where(c.searching, _trial(c), c.step)
-        t1 = jnp.where(lands, goal, _fixed(c.t + length))
-        rates = lambda t, y, args: self.motion.rates(c.mode, c.direction, t, y)
-        term = dfx.ODETerm(rates)
-        memory = self.solver.init(term, c.t, t1, c.y, None)
-        stepped = self.solver.step(term, c.t, t1, c.y, None, memory, False)
-        y1, error = stepped[0], cast(HybridState, stepped[1])
-        e, a, b = _fixed(pack(error)), _fixed(pack(c.y)), _fixed(pack(y1))
+        """One step: to the next landing, to where an event may be, or as proposed."""
+        at = c.place
+        goal = self.landings.ends[c.landing]
+        lands = ~c.searching & (goal - at.t <= c.step * (1.0 + 1e-9))
+        length = jnp.where(c.searching, _trial(c.bracket), c.step)
+        t1 = jnp.where(lands, goal, at.t + length)
+        end = self.motion.stepped(c.place.mode, c.place.direction, at.t, t1, c.place.y)
+        a, b = pack(c.place.y), pack(end.y)
         allowed = self.atol + self.rtol * jnp.maximum(jnp.abs(a), jnp.abs(b))
-        size = jnp.sqrt(jnp.mean((e / allowed) ** 2))
-        f = self.motion.rates(c.mode, c.direction, t1, y1)
-        events = lambda t, y: self.motion.events(c.mode, c.direction, t, y)
-        (values, y1), (changes, _) = jax.jvp(events, (t1, y1), (jnp.ones_like(t1), f))
-        return _Tried(t1, y1, f, size, values, _fixed(changes), lands)
+        size = jnp.sqrt(jnp.mean((end.error / allowed) ** 2))
+        return _Tried(t1, end, size, lands)
 
     def judged(self, c: _Run, tried: _Tried) -> _Verdict:
         """Whether the step stands, and whether it ends on an event."""
-        size, taken = tried.size, _fixed(tried.t - c.t)
+        size, taken = tried.size, tried.t - c.place.t
         # a few numbers of the clock: no shorter step can be made
-        tiny = 4.0 * jnp.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.t))
-        share = _fixed(tried.values / jnp.where(c.values > 0.0, c.values, 1.0))
+        tiny = 4.0 * jnp.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
+        share = tried.end.values / jnp.where(c.values > 0.0, c.values, 1.0)
         kind, least = jnp.argmin(share), jnp.min(share)
-        negative = ~(least >= 0.0)
-        # right behind a change nothing can have happened: the step was too long
-        early = jnp.isnan(c.values[0]) & negative
-        good = (size <= 1.0) & ~early
+        known, negative = jnp.isfinite(least), ~(least >= 0.0)
+        # right behind a change the values may be zero: a step that ends on a negative
+        # one was too long, unless it stays so: then the mode cannot even begin
+        behind = jnp.isnan(c.values[0]) & negative & known
+        at_once = behind & (size <= 1.0) & (0.2 * taken <= tiny)
+        early = behind & ~at_once
+        good = (size <= 1.0) & known & ~behind
         begins = good & negative & ~c.searching
         bracket = _bracket(c, begins, taken, least)
-        closed = bracket[1] - bracket[0] <= tiny
-        event = c.searching & ((jnp.abs(least) <= _ROOT) | closed)
+        closed = bracket.high - bracket.low <= tiny
+        found = c.searching & known & ((jnp.abs(least) <= _ROOT) | closed)
+        event = found | at_once
         accept = (good & ~negative & ~c.searching) | event
-        order = self.solver.order(dfx.ODETerm(lambda t, y, args: y)) or 1
         # an integral controller with diffrax's margin and lower limit; it grows by five
         # at most, because behind a change the step before it says little
-        factor = jnp.clip(0.9 * jnp.maximum(size, 1e-10) ** (-1.0 / order), 0.2, 5.0)
-        factor = jnp.where(jnp.isnan(size) | early, 0.2, factor)
-        step = jnp.where(c.searching | begins, c.step, _fixed(taken * factor))
+        factor = 0.9 * jnp.maximum(size, 1e-10) ** (-1.0 / self.order)
+        factor = jnp.clip(factor, 0.2, 5.0)
+        factor = jnp.where(jnp.isnan(size) | early | ~known, 0.2, factor)
+        step = jnp.where(c.searching | begins, c.step, taken * factor)
+        step = jnp.where(at_once, 1e6 * tiny, step)
         step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
-        stuck = ~accept & ~c.searching & (step <= tiny)
+        stuck = ~accept & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event
         return _Verdict(accept, event, kind, searching, bracket, step, stuck)
 
@@ -261,49 +153,104 @@ class _Loop(eqx.Module):
         """One turn of the loop."""
         tried = self.tried(c)
         verdict = self.judged(c, tried)
-        accept, event, kind = verdict.accept, verdict.event, verdict.kind
-        # where the event is: one Newton step of value zero, for the derivatives
-        shift = -tried.values[kind] / tried.changes[kind]
-        close = jnp.abs(_fixed(shift)) <= tried.t - c.t  # not where it only grazes
-        shift = jnp.where(event & close, shift, 0.0)
-        t = tried.t + shift
-        y = jax.tree.map(lambda a, b: a + shift * b, tried.y, tried.rates)
+        event, at = verdict.event, c.place
         mode, direction, y = jax.lax.cond(
             event,
-            lambda: self.motion.changed(c.mode, kind, c.direction, t, y),
-            lambda: (c.mode, c.direction, y),
+            lambda: self.motion.changed(
+                at.mode, verdict.kind, at.direction, tried.t, tried.end.y
+            ),
+            lambda: (at.mode, at.direction, tried.end.y),
         )
-        fast = dot(y.slip, y.slip)
-        # a direction is known where the slip is far above the law's smallest
-        along = (mode == Mode.SLIPPING) & (fast > (1e3 * SMALLEST_SLIP) ** 2)
-        speed = jnp.sqrt(jnp.where(along, fast, 1.0))
-        direction = jnp.where(along, y.slip / speed, direction)
-        values = jnp.where(event, jnp.nan, tried.values)
+        after = Place(tried.t, y, mode, self.motion.along(mode, direction, y))
+        full = event & (c.path.switches.count >= self.motion.modes.switches)
+        jammed = event & ~jnp.all(jnp.isfinite(pack(y)))
+        accept = verdict.accept & ~full & ~jammed
+        lands = tried.lands & accept
+        saves = lands & (tried.t == self.times[c.path.index])
+        following = after
+        if self.landings.jumps is not None:
+            begin = jnp.where(lands, self.landings.starts[c.landing], tried.t)
+            following = after._replace(t=begin)
+        record = c.record
+        if record is not None:
+            record = self._recorded(c, tried, verdict, accept, saves, following.t)
         keep = lambda a, b: jax.tree.map(lambda x, z: jnp.where(accept, x, z), a, b)
-        saves = tried.lands & accept
-        store = lambda array, x: jnp.where(saves, array.at[c.index].set(x), array)
-        full = event & (c.switches.count >= self.motion.modes.switches)
-        code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
+        code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
+        code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
         return _Run(
-            keep(t, c.t),
-            keep(y, c.y),
-            keep(mode, c.mode),
-            keep(direction, c.direction),
-            verdict.step,
-            keep(values, c.values),
-            verdict.searching,
-            *verdict.bracket,
-            c.index + jnp.where(saves, 1, 0),
-            jax.tree.map(store, c.saved, ModedState(y, mode, direction)),
-            _logged(c, event, t, mode, y),
-            c.accepted + jnp.where(accept, 1, 0),
-            c.tried + 1,
-            jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, code),
+            place=keep(following, at),
+            step=verdict.step,
+            values=keep(jnp.where(event, jnp.nan, tried.end.values), c.values),
+            searching=verdict.searching,
+            bracket=verdict.bracket,
+            landing=c.landing + jnp.where(lands, 1, 0),
+            path=c.path.after(saves, event & accept, at.mode, *after),
+            record=record,
+            accepted=c.accepted + jnp.where(accept, 1, 0),
+            tried=c.tried + 1,
+            code=jnp.where(jammed, Code.PAINLEVE, code),
+        )
+
+    def _recorded(self, c: _Run, tried: _Tried, verdict: _Verdict, accept, saves, next):
+        """The record with a step that was accepted."""
+        at, event, kind = c.place, verdict.event & accept, verdict.kind
+        assert c.record is not None
+        turns = c.record.turns
+        turn = jax.lax.cond(
+            event,
+            lambda: turning(
+                self.motion, at.mode, at.direction, at.t, tried.t, tried.end, kind
+            ),
+            lambda: jnp.zeros_like(turns[0]),
+        )
+        output = jnp.where(saves, c.path.index, 0)
+        row = tried.t, next, jnp.where(event, kind, -1), output
+        count = c.path.switches.count
+        return c.record.after(c.accepted, accept, at, row, count, event, turn)
+
+    def run(self, mode, y: HybridState, max_steps: int, recording: bool) -> _Run:
+        """From the start to the last time, or to where it cannot go on."""
+
+        def going(c: _Run):
+            more = c.path.index < self.times.shape[0]
+            return more & (c.code == 0) & (c.tried < max_steps)
+
+        begun = self._begun(mode, y, _RECORDED_STEPS if recording else 0)
+        if recording:
+            max_steps = min(max_steps, _RECORDED_STEPS)
+        return jax.lax.while_loop(going, lambda c: self.step(c), begun)
+
+    def _begun(self, mode, y: HybridState, recorded: int) -> _Run:
+        """The loop's first value."""
+        t, whole = self.times[0], jnp.asarray(0)
+        mode, direction = self.motion.begun(mode, t, y)
+        begun, switches = Place(t, y, mode, direction), self.motion.modes.switches
+        span = jnp.abs(self.times[-1] - t)
+        zero = jnp.zeros_like(t)
+        return _Run(
+            place=begun,
+            step=first_step(y.angular_velocity, span),
+            values=jnp.full(2, jnp.nan, t.dtype),
+            searching=jnp.asarray(False),
+            bracket=_Bracket(zero, zero, zero, zero),
+            landing=whole,
+            path=Path.empty(begun.moded, self.times.shape[0], switches),
+            record=Record.empty(recorded, begun, switches) if recorded else None,
+            accepted=whole,
+            tried=whole,
+            code=whole,
         )
 
 
 def integrate_modes(
-    scene: Scene, start: State, times, rtol, atol, solver, max_steps: int
+    scene: Scene,
+    start: State,
+    times,
+    rtol,
+    atol,
+    solver: Any,
+    max_steps: int,
+    corners: Callable,
 ) -> HybridOutcome:
     """Integrate through all changes of the mode, to the asked times.
 
@@ -315,90 +262,64 @@ def integrate_modes(
         atol: Absolute tolerance of a step [unit of the state].
         solver: diffrax solver, an explicit Runge-Kutta method.
         max_steps: Most tried steps.
+        corners: ``corners(scene)`` -> times at which the rates have a corner [s], or
+            None, and whether they may jump there.
     """
-    modes, count = scene.contact, times.shape[0]
-    assert isinstance(modes, Modes)
-    motion = Motion(in_modes(scene), modes)
     mode = Mode.FLYING if isinstance(start, FlyingState) else Mode.ROLLING
     mode = Mode.SLIPPING if isinstance(start, SlidingState) else mode
-    # the only scan of stages that has derivatives in forward mode
-    unset = lambda x: x is None
-    solver = eqx.tree_at(lambda s: s.scan_kind, solver, "lax", is_leaf=unset)
-    loop = _Loop(motion, times, rtol, atol, solver)
 
-    def going(c: _Run):
-        return (c.index < count) & (c.code == 0) & (c.tried < max_steps)
+    def made(inputs):
+        scene, y, times, *_ = inputs
+        tableau = tableau_of(solver, times.dtype)
+        return Motion(in_modes(scene), scene.contact, tableau), y, times
 
-    begun = _begun(motion, of(start), mode, times, modes.switches)
-    c = jax.lax.while_loop(going, lambda c: loop.step(c), begun)
-    ended = c.index >= count
-    code = jnp.where((c.code == 0) & ~ended, Code.MAX_STEPS, c.code)
-    last = ModedState(c.y, c.mode, c.direction)
-    rejected = c.tried - c.accepted
-    return HybridOutcome(c.saved, c.switches, code, c.t, last, c.accepted, rejected)
+    def solve(inputs, replay, adjoint):
+        motion, y, times = made(inputs)
+        if replay is not None:
+            path, t, last = replayed(motion, jnp.asarray(mode), y, times, replay)
+            return _outcome(path, t, last, None, None, None), None
+        scene, *_, rtol, atol = inputs
+        order = solver.order(dfx.ODETerm(lambda t, y, args: y))
+        loop = _Loop(motion, times, landings(times, *corners(scene)), rtol, atol, order)
+        c = loop.run(jnp.asarray(mode), y, max_steps, adjoint is not None)
+        ended = c.path.index >= times.shape[0]
+        code = jnp.where((c.code == 0) & ~ended, Code.MAX_STEPS, c.code)
+        t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
+        return _outcome(c.path, t, last, code, c.accepted, rejected), c.record
+
+    def pull(inputs_of, varied, record, asked):
+        make = lambda varied: made(inputs_of(varied))
+        asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
+        return pulled_back(make, varied, jnp.asarray(mode), record, asked)
+
+    inputs = scene, of(start), times, rtol, atol
+    return differentiable(solve, inputs, pull=pull)
 
 
-def _trial(c: _Run):
+def _outcome(path: Path, t, last, code, steps, rejected) -> HybridOutcome:
+    return HybridOutcome(path.saved, path.switches, code, t, last, steps, rejected)
+
+
+def _trial(old: _Bracket):
     """Next try for an event: a bracketing secant, with a bisection as its guard."""
-    secant = c.low + (c.high - c.low) * c.at_low / (c.at_low - c.at_high)
-    inside = (secant > c.low) & (secant < c.high)
-    return jnp.where(inside, secant, 0.5 * (c.low + c.high))
+    rise = old.at_low / (old.at_low - old.at_high)
+    secant = old.low + (old.high - old.low) * rise
+    inside = (secant > old.low) & (secant < old.high)
+    return jnp.where(inside, secant, 0.5 * (old.low + old.high))
 
 
-def _bracket(c: _Run, begins, taken, least):
+def _bracket(c: _Run, begins, taken, least) -> _Bracket:
     """Steps before and behind an event; a side that stays is halved (Illinois)."""
-    hit = c.searching & (least < 0.0)
-    miss = c.searching & ~(least < 0.0)
-    low = jnp.where(miss, taken, jnp.where(begins, 0.0, c.low))
-    high = jnp.where(hit | begins, taken, c.high)
-    at_low = jnp.where(miss, least, jnp.where(begins, 1.0, c.at_low))
-    at_high = jnp.where(hit | begins, least, c.at_high)
-    return (
+    hit = c.searching & ~(least >= 0.0)  # what is not known lies behind
+    miss = c.searching & (least >= 0.0)
+    old = c.bracket
+    low = jnp.where(miss, taken, jnp.where(begins, 0.0, old.low))
+    high = jnp.where(hit | begins, taken, old.high)
+    at_low = jnp.where(miss, least, jnp.where(begins, 1.0, old.at_low))
+    at_high = jnp.where(hit | begins, least, old.at_high)
+    return _Bracket(
         low,
         high,
         jnp.where(hit, 0.5 * at_low, at_low),
         jnp.where(miss, 0.5 * at_high, at_high),
     )
-
-
-def _logged(c: _Run, event, t, mode, y) -> "Switches":
-    k = jnp.minimum(c.switches.count, c.switches.time.shape[0] - 1)
-    put = lambda array, x: jnp.where(event, array.at[k].set(x), array)
-    old = c.switches
-    return Switches(
-        put(old.time, t),
-        put(old.before, c.mode),
-        put(old.after, mode),
-        jax.tree.map(put, old.state, y),
-        old.count + jnp.where(event, 1, 0),
-    )
-
-
-def _begun(motion: Motion, y: HybridState, mode, times, free: int) -> _Run:
-    """The loop's first value."""
-    t = times[0]
-    mode, whole = jnp.asarray(mode), jnp.asarray(0)
-    long = dot(y.slip, y.slip)
-    direction = y.slip / jnp.sqrt(jnp.where(long > 0.0, long, 1.0))
-    settled, way = motion.settled(t, y)
-    rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(long > 0.0))
-    mode = jnp.where(rests, settled, mode)
-    direction = jnp.where(rests, way, direction)
-    values = jnp.full(2, jnp.nan, times.dtype)
-    many = lambda n: jax.tree.map(
-        lambda x: jnp.full((n, *x.shape), jnp.nan, x.dtype), y
-    )
-    begun = ModedState(y, mode, direction)
-    count = times.shape[0]
-    unset = ModedState(many(count), jnp.full(count, -1), jnp.full((count, 3), jnp.nan))
-    saved = jax.tree.map(lambda a, x: a.at[0].set(x), unset, begun)
-    none = jnp.full(free, jnp.nan, times.dtype)
-    blank = jnp.full(free, -1)
-    span = jnp.abs(times[-1] - t)
-    step = first_step(_fixed(y.angular_velocity), _fixed(span))
-    zero = jnp.zeros_like(t)
-    return _Run(
-        t, y, mode, direction, step, values,
-        jnp.asarray(False), zero, zero, zero, zero, whole + 1, saved,
-        Switches(none, blank, blank, many(free), whole), whole, whole, whole,
-    )  # fmt: skip

@@ -16,7 +16,7 @@ from .coordinates import FlyingState, SlidingState, State, shared_parts
 from .friction import AbstractFriction
 from .rotations import rotation_matrix
 from .scene import Flying, Rolling, Scene, Slipping, under
-from .small_linear import matvec_transposed, norm
+from .small_linear import dot, matvec_transposed
 
 
 class Mode:
@@ -102,7 +102,9 @@ class _Directed(AbstractFriction):
 
     def ratio(self, slip):
         moved = slip + SMALLEST_SLIP * self.direction
-        return -self.coefficient * moved / norm(moved)
+        squared = dot(moved, moved)  # zero in a lane that does not slip
+        size = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
+        return -self.coefficient * moved / size
 
 
 class HybridState(State):

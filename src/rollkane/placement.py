@@ -33,6 +33,7 @@ def place(
     near_on_body: Any = None,
     time: Any = 0.0,
     velocity: Any = None,
+    slip: Any = None,
 ) -> State:
     """The state in which a body touches its base at a given point.
 
@@ -53,6 +54,8 @@ def place(
         velocity: Of the body origin, FIXED axes [m/s], shape (3,), in a scene whose
             contact slips; by default that of rolling. It must keep the body on the
             base.
+        slip: Instead of ``velocity``: of the body's point at the contact over the base,
+            FIXED axes [m/s], shape (3,); its part along the normal is left out.
 
     Returns:
         The state, in pole-free coordinates; a ``SlidingState`` where the contact slips.
@@ -108,32 +111,51 @@ def place(
     if scene.coordinate_count:
         state = _with_mass(scene, time, state)
     if isinstance(scene.contact, Slipping):
-        return _sliding(scene, time, state, velocity)
-    if velocity is not None:
-        raise FieldError(
-            "place.velocity",
-            velocity,
-            "follows from the angular velocity where the body rolls",
-            "leave it out, or give Scene(contact=Slipping(...))",
-        )
+        return _sliding(scene, time, state, velocity, slip)
+    for name, given in (("velocity", velocity), ("slip", slip)):
+        if given is not None:
+            raise FieldError(
+                f"place.{name}",
+                given,
+                "follows from the angular velocity where the body rolls",
+                "leave it out, or give Scene(contact=Slipping(...))",
+            )
     return state
 
 
-def _sliding(scene: Scene, time: Array, state: State, velocity: Any) -> SlidingState:
-    """The state with the slip that a velocity of the body's origin means."""
-    slip = jnp.zeros_like(state.angular_velocity)
+def _sliding(scene: Scene, time: Array, state: State, velocity, slip) -> SlidingState:
+    """The state with a slip, or with that of a velocity of the body's origin."""
+    start = SlidingState(
+        **shared_parts(state), slip=jnp.zeros_like(state.angular_velocity)
+    )
+    if velocity is not None and slip is not None:
+        raise FieldError(
+            "place.slip", slip, "follows from velocity", "give one of both"
+        )
+    dtype, unit = start.slip.dtype, "m/s, fixed axes"
+    if slip is not None:
+        given = _number(dtype, "slip", slip, 3, unit)
+        slip = _along_surface(scene, time, start, given)
+        start = eqx.tree_at(lambda s: s.slip, start, slip)
     if velocity is not None:
-        dtype = slip.dtype
-        given = _number(dtype, "velocity", velocity, 3, "m/s, fixed axes")
-        slip, leaving, size = _slip_of(scene, time, state, given)
-        slip = refuse(
-            slip,
+        given = _number(dtype, "velocity", velocity, 3, unit)
+        found, leaving, size = _slip_of(scene, time, state, given)
+        found = refuse(
+            found,
             ~(abs(leaving) <= _looseness(dtype) * size),
             "place.velocity",
             "would take the body off the base, or into it",
             "leave out its part along the normal",
         )
-    return SlidingState(**shared_parts(state), slip=slip)
+        start = eqx.tree_at(lambda s: s.slip, start, found)
+    return start
+
+
+@for_one_call
+def _along_surface(scene: Scene, time: Array, state: State, slip: Array) -> Array:
+    contact = contact_of(scene, time, state)
+    out = matvec(contact.rotation, contact.normal)
+    return slip - out * dot(slip, out)
 
 
 @for_one_call

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .contact import Contact, flight, rolling_contact
-from .contact_laws import accelerations, momentum_rate
+from .contact_laws import Solution, accelerations, momentum_rate
 from .coordinates import FlyingState, SlidingState, State
 from .mass_matrix import assemble
 from .scene import RubberRolling, Scene
@@ -66,10 +66,22 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
     """
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
-    w_dot, alpha_ddot, slid, *_ = accelerations(scene, t, contact, system)
+    return _rates(state, contact, accelerations(scene, t, contact, system))
+
+
+def _rates(state: AnyState, contact: Contact, solution: Solution) -> AnyState:
+    w_dot, alpha_ddot, slid, *_ = solution
     if isinstance(state, (SlidingState, FlyingState)):
         return state.rates(contact, w_dot, alpha_ddot, slid)
     return state.rates(contact, w_dot, alpha_ddot)
+
+
+def rates_and_force(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"]]:
+    """Rates of the state, and the contact force by :func:`press_and_pull`, at once."""
+    contact, solution, force = _solved(scene, t, state)
+    return _rates(state, contact, solution), *_parted(contact, force)
 
 
 def contact_force(
@@ -80,25 +92,30 @@ def contact_force(
     Source: theory, section 5, ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
     dr_i/dalpha alpha'' + beta_i``.
     """
-    return _contact_and_force(scene, t, state)[1]
+    return _solved(scene, t, state)[2]
 
 
 def press_and_pull(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """Normal force [N], negative where it pulls; force along the surface [N], FIXED."""
-    contact, force = _contact_and_force(scene, t, state)
+    contact, _, force = _solved(scene, t, state)
+    return _parted(contact, force)
+
+
+def _parted(contact: Contact, force):
     out = matvec(contact.rotation, contact.normal)
     press = -dot(force, out)
     return press, force + press * out
 
 
-def _contact_and_force(scene: Scene, t, state: AnyState):
+def _solved(scene: Scene, t, state: AnyState):
+    """Contact, accelerations and contact force [N], fixed axes."""
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
     solution = accelerations(scene, t, contact, system)
     force = momentum_rate(scene, contact, system).force(solution)
-    return contact, matvec(contact.rotation, force)
+    return contact, solution, matvec(contact.rotation, force)
 
 
 def painleve_margin(
@@ -111,7 +128,6 @@ def painleve_margin(
 
     Source: theory, section 8.4.
     """
-    contact = contact_of(scene, t, state)
-    system = assemble(scene, t, state, contact)
-    margin = accelerations(scene, t, contact, system).margin
-    return jnp.full((), jnp.inf, system.proper.dtype) if margin is None else margin
+    _, solution, force = _solved(scene, t, state)
+    margin = solution.margin
+    return jnp.full((), jnp.inf, force.dtype) if margin is None else margin

@@ -27,7 +27,9 @@ from .small_linear import (
     solve_spd,
 )
 
-_NEWTON = 3  # from where the last step was; the error squares each time
+# Newton steps from the last nearest points: their error squares each time, so that
+# half a radian is below rounding
+_NEWTON = 6
 
 
 def nearest(
@@ -43,8 +45,8 @@ def nearest(
     The gap is the distance along the base's normal, less than zero in the base. Where
     there are several nearest points, the ones next to the start are followed.
     """
-    for _ in range(_NEWTON):
-        state = _improved(scene, t, state)
+    improve = lambda state, _: (_improved(scene, t, state), None)
+    state, _ = jax.lax.scan(improve, state, length=_NEWTON)
     return _apart(scene, t, state, jnp.zeros(_unknowns(scene)))[1], state
 
 
@@ -118,8 +120,8 @@ def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
         on_body = body.locate(down)
     spin = matvec_transposed(R, w)
     state = FlyingState(e, spin, on_base, on_body, a, a_dot, r, v)
-    for _ in range(4):  # from far away
-        _, state = nearest(scene, t, state)
+    from_far = lambda state, _: (nearest(scene, t, state)[1], None)
+    state, _ = jax.lax.scan(from_far, state, length=4)
     return nearest(scene, t, state)
 
 
@@ -145,9 +147,8 @@ def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
     if scene.carries_point:
         shell = body.geometry(on_body)
         on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
-    return eqx.tree_at(
-        lambda s: (s.contact_on_base, s.contact_on_body), state, (on_base, on_body)
-    )
+    places = base.settled(on_base), body.settled(on_body)
+    return eqx.tree_at(lambda s: (s.contact_on_base, s.contact_on_body), state, places)
 
 
 def _apart(scene: Scene, t, state: FlyingState, x):

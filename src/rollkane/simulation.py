@@ -72,9 +72,10 @@ def simulate(
         coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
             at the edges of the surfaces' charts.
         modes: How the run may change between rolling, slipping and flight; None: the
-            scene's contact law holds throughout. With it the derivatives are those of
-            forward mode; ``stepsize_controller``, ``adjoint``, ``saveat`` and
-            ``progress_meter`` are not used, and time runs forwards.
+            scene's contact law holds throughout. With it derivatives can follow 16384
+            steps; ``solver`` is an explicit Runge-Kutta method; time runs forwards;
+            ``formulation``, ``coordinates``, ``stepsize_controller``, ``adjoint``,
+            ``saveat``, ``dt0`` and ``progress_meter`` cannot be chosen.
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
         stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
         adjoint: diffrax adjoint; replaces the derivative along recorded steps.
@@ -95,6 +96,16 @@ def simulate(
     _check_names(formulation, coordinates)
     _check_law(scene, formulation, coordinates)
     if modes is not None:
+        options = {
+            "formulation": formulation != "rolling",
+            "coordinates": coordinates != "pole-free",
+            "stepsize_controller": stepsize_controller is not None,
+            "adjoint": adjoint is not None,
+            "saveat": saveat is not None,
+            "dt0": dt0 is not None,
+            "progress_meter": progress_meter is not None,
+        }
+        _refuse_with_modes(options)
         return _simulate_modes(
             scene, start, times, modes, rtol, atol, solver, max_steps
         )
@@ -131,6 +142,15 @@ def simulate(
     )
 
 
+def _refuse_with_modes(given: dict[str, bool]) -> None:
+    for name, is_given in given.items():
+        if is_given:
+            remedy = f"leave {name} out, or modes"
+            raise FieldError(
+                f"simulate.{name}", "...", "cannot be chosen with modes", remedy
+            )
+
+
 def _simulate_modes(
     scene: Scene, start, times, modes: Modes, rtol, atol, solver, max_steps
 ) -> Trajectory:
@@ -141,6 +161,10 @@ def _simulate_modes(
     if not isinstance(start, known):
         remedy = "make it with rollkane.place or rollkane.release"
         raise FieldError("simulate.start", start, "must be a State", remedy)
+    if isinstance(start, SlidingState) and modes.friction is None:
+        raise FieldError(
+            "Modes.friction", None, "is missing for a start that slips", "give it"
+        )
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
@@ -178,7 +202,7 @@ def _simulate_modes(
 
 @eqx.filter_jit
 def _run_modes(scene, start, times, rtol, atol, solver, max_steps):
-    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps)
+    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, _corners)
 
 
 def _corners(scene: Scene) -> tuple[Any, bool]:

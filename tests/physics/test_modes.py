@@ -1,5 +1,6 @@
 """Runs that change between rolling, slipping and flight, against closed forms."""
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -164,7 +165,167 @@ def test_a_pushed_ball_slips_and_grips():
     np.testing.assert_allclose(v, turned, rtol=1e-8)
 
 
+def test_upright_disc_slips_and_grips():
+    """Thrown along its heading, it stays upright: a balance that nothing disturbs.
+
+    m v' = -mu m g, J w' = mu m g r with J = m r^2 / 2: it grips at
+    v0 / (mu g (1 + m r^2 / J)).
+    """
+    r, m, mu, v = 0.25, 1.5, 0.3, 3.0
+    disc = rk.Body(m, m * r**2 * np.diag([0.25, 0.25, 0.5]), rk.DiscEdge(r))
+    law = rk.Slipping(rk.CoulombFriction(mu))
+    # the disc's axis z lies along -y: heading x
+    upright = (np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0)
+    scene = rk.Scene(disc, contact=law)
+    start = rk.place(scene, upright, STILL, STILL, velocity=(v, 0.0, 0.0))
+    modes = rk.Modes(friction=mu)
+    run = rk.simulate(rk.Scene(disc), start, [0.0, 0.2, 0.8], modes=modes, rtol=1e-10)
+    grips = v / (mu * G * 3.0)
+    assert run.succeeded
+    assert list(run.switches.after[:2]) == [rk.Mode.ROLLING, -1]
+    np.testing.assert_allclose(run.switches.time[0], grips, atol=1e-12)
+    slid = v * grips - 0.5 * mu * G * grips**2
+    rolled = 2.0 / 3.0 * v * (0.8 - grips)
+    np.testing.assert_allclose(run.position[-1, 0], slid + rolled, atol=1e-10)
+    np.testing.assert_allclose(run.slip[-1], 0.0, atol=0.0)
+
+
+@pytest.mark.slow
+def test_tilted_disc_slips_and_grips():
+    """No closed form: what friction takes is the energy, and the grip is no jolt.
+
+    The power of friction is -mu N |U|, integrated over the slip by Gauss-Legendre with
+    40 nodes; it ends as a straight line does, and 1e-8 is left.
+    """
+    r, m, mu = 0.25, 1.5, 0.25
+    disc = rk.Body(m, m * r**2 * np.diag([0.25, 0.25, 0.5]), rk.DiscEdge(r))
+    law = rk.Slipping(rk.CoulombFriction(mu))
+    scene = rk.Scene(disc, contact=law)
+    tilted = (np.cos(0.75), np.sin(0.75), 0.0, 0.0)
+    start = rk.place(scene, tilted, (2.0, -12.0, 3.0), STILL, slip=(1.5, 0.5, 0.0))
+    modes = rk.Modes(friction=mu)
+    simulate = lambda times: rk.simulate(
+        rk.Scene(disc), start, times, modes=modes, rtol=1e-11
+    )
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    first = simulate(np.linspace(0.0, 0.3, 42))
+    assert list(first.switches.after[:1]) == [rk.Mode.ROLLING]
+    grips = float(first.switches.time[0])
+    times = np.concatenate([[0.0], 0.5 * grips * (nodes + 1.0), [grips + 1e-3]])
+    run = simulate(times)
+    assert run.succeeded
+    power = -mu * run.normal_force * jnp.linalg.norm(run.slip, axis=1)
+    work = 0.5 * grips * np.sum(weights * np.asarray(power)[1:-1])
+    np.testing.assert_allclose(run.energy[-1] - run.energy[0], work, rtol=1e-8)
+    # velocities on both sides of the grip: apart by their rates only
+    beside = simulate(np.array([0.0, grips - 1e-9, grips + 1e-9]))
+    change = beside.angular_velocity[2] - beside.angular_velocity[1]
+    np.testing.assert_allclose(change, 0.0, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_body_that_carries_its_point_lands():
+    """A ball as a level set, dropped on a slope with spin, against the ball itself."""
+    slope = rk.Base(rk.Graph(lambda x, y: 0.2 * x + 0.05 * y * y))
+    given = (0.0, 3.0, 1.0), (0.3, 0.2, 0.5), (0.2, 0.0, 0.0)
+    found = []
+    level = rk.Implicit(lambda p: jnp.sum(p * p) - R**2, size=0.2)
+    for surface in (rk.Sphere(R), level):
+        scene = rk.Scene(rk.Body(MASS, BALL.inertia, surface), slope)
+        start = rk.release(scene, UP, *given)
+        modes = rk.Modes(friction=0.3, restitution=0.6, switches=8)
+        run = rk.simulate(scene, start, [0.0, 0.4, 0.6], modes=modes, rtol=1e-11)
+        assert run.succeeded
+        found.append(run)
+    ball, carries = found
+    count = int(ball.switches.count)
+    assert count > 0
+    assert int(carries.switches.count) == count
+    np.testing.assert_allclose(carries.switches.time, ball.switches.time, atol=1e-9)
+    np.testing.assert_allclose(carries.position, ball.position, atol=1e-9)
+    np.testing.assert_allclose(
+        carries.angular_velocity, ball.angular_velocity, atol=1e-7
+    )
+
+
+def cliff(x, y):
+    return 0.5 - 0.5 * jnp.tanh(3.0 * (x - 1.0) + 0.5 * y)
+
+
+def over_the_cliff(x):
+    """Where a ball first touches, that slides over an edge, falls, and lands.
+
+    Args:
+        x: Speed [m/s], spin [rad/s], friction, restitution [1], shape (4,).
+    """
+    speed, spin, mu, e = x
+    at = -0.5, 0.0
+    scene = rk.Scene(BALL, rk.Base(rk.Graph(cliff)))
+    slips = rk.Scene(BALL, scene.base, contact=rk.Slipping(rk.CoulombFriction(mu)))
+    slip = speed * jnp.array([1.0, 0.3, 0.0])
+    turning = jnp.stack([0.0 * spin, spin, 0.5 * spin])
+    start = rk.place(slips, UP, turning, (*at, cliff(*at)), slip=slip)
+    modes = rk.Modes(friction=mu, restitution=e, switches=8)
+    run = rk.simulate(scene, start, [0.0, 0.7, 1.2], modes=modes, rtol=1e-11)
+    return run.switches, run.position[-1]
+
+
+@pytest.mark.slow
+def test_gradient_of_a_landing_point():
+    """Through slip, flight and rebound, in both modes, against differences.
+
+    Central differences of steps 1e-4 and 5e-5, extrapolated: error h^4 = 1e-16 over
+    rounding 1e-11 / 1e-4.
+    """
+    at = jnp.array([4.0, 2.0, 0.1, 0.5])
+
+    def seen(x):
+        switches, end = over_the_cliff(x)
+        point = switches.state.position[1, 0]
+        return jnp.stack([point, switches.time[1], end[0]])
+
+    switches, _ = over_the_cliff(at)
+    assert list(switches.before[:2]) == [rk.Mode.SLIPPING, rk.Mode.FLYING]
+    assert list(switches.after[:2]) == [rk.Mode.FLYING, rk.Mode.FLYING]
+    run = jax.jit(seen)
+
+    def difference(axis, h):
+        step = h * jnp.eye(4)[axis]
+        return (run(at + step) - run(at - step)) / (2.0 * h)
+
+    fine = [(4.0 * difference(i, 5e-5) - difference(i, 1e-4)) / 3.0 for i in range(4)]
+    expected = np.stack(fine, axis=1)
+    pull = jax.jit(lambda ct: jax.vjp(seen, at)[1](ct)[0])
+    push = jax.jit(lambda v: jax.jvp(seen, (at,), (v,))[1])
+    reverse = np.stack([pull(row) for row in jnp.eye(3)])
+    forward = np.stack([push(column) for column in jnp.eye(4)], axis=1)
+    # the promise is 1e-5; the largest entry sets the size of a row
+    size = np.abs(expected).max(axis=1, keepdims=True)
+    assert (np.abs(reverse - expected) < 1e-6 * size).all()
+    assert (np.abs(forward - reverse) < 1e-9 * size).all()
+
+
 REFUSED = {
+    "an option that is not used": (
+        lambda: rk.simulate(LANE, None, [0.0, 1.0], modes=rk.Modes(), dt0=0.1),
+        "simulate.dt0: cannot be chosen with modes",
+    ),
+    "a slip without friction": (
+        lambda: rk.simulate(
+            LANE, thrown(jnp.asarray(8.0), 0.2), [0.0, 1.0], modes=rk.Modes()
+        ),
+        "Modes.friction: is missing for a start that slips",
+    ),
+    "a solver that is not explicit": (
+        lambda: rk.simulate(
+            LANE,
+            rk.place(LANE, UP, STILL, STILL),
+            [0.0, 1.0],
+            modes=rk.Modes(),
+            solver=dfx.Kvaerno5(),
+        ),
+        "simulate.solver: cannot make the steps of a run with modes",
+    ),
     "no modes": (
         lambda: rk.simulate(LANE, None, [0.0, 1.0], modes=0.3),
         "simulate.modes: must be Modes",

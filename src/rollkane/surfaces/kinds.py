@@ -43,6 +43,10 @@ class AbstractSurface(eqx.Module):
     ) -> Float[Array, " k"]:
         """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
 
+    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Coordinates brought back to their manifold after a finite step."""
+        return u
+
     @abc.abstractmethod
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         """Coordinates of the surface point at, or near, a point [m]."""
@@ -222,10 +226,6 @@ class AbstractPointSurface(AbstractSurface):
         u = jax.lax.stop_gradient(u)
         for _ in range(2):
             u = advance(u, step_to_moving)
-        return u
-
-    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
-        """Coordinates brought back to their manifold after a finite step."""
         return u
 
     def _search_step(self) -> Float[Array, ""]:

@@ -1,0 +1,260 @@
+"""The way of a run in modes: what it leaves, the steps that it took, and their replay.
+
+The accepted steps are recorded and replayed, forwards with tangents or, in reverse
+mode, backwards with the states that the replay passed through.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .coordinates import pack, unpack
+from .mode_changes import Motion, Step
+from .modes import HybridState, ModedState, Switches
+
+
+class Path(NamedTuple):
+    """Saved states and switches.
+
+    Attributes:
+        saved: At the output times; NaN where not reached.
+        index: How many outputs were reached.
+        switches: Changes of the mode.
+    """
+
+    saved: ModedState
+    index: Array
+    switches: Switches
+
+    @staticmethod
+    def empty(begun: ModedState, outputs: int, switches: int) -> "Path":
+        """The start, and room for outputs and switches."""
+        y = begun.parts
+        many = lambda n: jax.tree.map(
+            lambda x: jnp.full((n, *x.shape), jnp.nan, x.dtype), y
+        )
+        dtype = y.angular_velocity.dtype
+        nowhere = jnp.full((outputs, 3), jnp.nan, dtype)
+        unset = ModedState(many(outputs), jnp.full(outputs, -1), nowhere)
+        saved = jax.tree.map(lambda a, x: a.at[0].set(x), unset, begun)
+        none, blank = jnp.full(switches, jnp.nan, dtype), jnp.full(switches, -1)
+        return Path(
+            saved,
+            jnp.asarray(1),
+            Switches(none, blank, blank, many(switches), jnp.asarray(0)),
+        )
+
+    def after(self, saves, event, before, t, y, mode, direction) -> "Path":
+        """With a step that ended on an output, on an event, or on neither."""
+        store = lambda array, x: _put(array, self.index, saves, x)
+        saved = jax.tree.map(store, self.saved, ModedState(y, mode, direction))
+        old = self.switches
+        put = lambda array, x: _put(array, old.count, event, x)
+        switches = Switches(
+            put(old.time, t),
+            put(old.before, before),
+            put(old.after, mode),
+            jax.tree.map(put, old.state, y),
+            old.count + jnp.where(event, 1, 0),
+        )
+        return Path(saved, self.index + jnp.where(saves, 1, 0), switches)
+
+
+def _put(array: Array, i, where, x) -> Array:
+    """With ``x`` in place i, if it is to be and there is one; nothing is copied."""
+    last = array.shape[0] - 1
+    at = jnp.minimum(i, last)
+    return array.at[at].set(jnp.where(where & (i <= last), x, array[at]))
+
+
+# Columns of a record's steps.
+_END, _BEGIN, _KIND, _OUTPUT = range(4)
+
+
+class Place(NamedTuple):
+    """Where a run is between two steps."""
+
+    t: Array
+    y: HybridState
+    mode: Array
+    direction: Array
+
+    @property
+    def moded(self) -> ModedState:
+        """Its state."""
+        return ModedState(self.y, self.mode, self.direction)
+
+
+class Record(NamedTuple):
+    """Accepted steps.
+
+    Attributes:
+        steps: A row for each: where it ended [s], where the next one began [s], which
+            event it ended on, or -1, which output it ended on, or 0; NaN where there
+            was none, shape (N, 4).
+        turns: A row for each event, from :func:`turning`, shape (S, 1 + n).
+        kept: Where the run was before each step.
+    """
+
+    steps: Float[Array, "N 4"]
+    turns: Float[Array, "S m"]
+    kept: Place
+
+    @staticmethod
+    def empty(steps: int, begun: Place, switches: int) -> "Record":
+        """Room for steps and switches."""
+        size, dtype = pack(begun.y).shape[0], begun.t.dtype
+        many = lambda x: jnp.zeros((steps, *x.shape), x.dtype)
+        return Record(
+            jnp.full((steps, 4), jnp.nan, dtype),
+            jnp.zeros((switches, 1 + size), dtype),
+            jax.tree.map(many, begun),
+        )
+
+    def after(self, row, accept, begun: Place, step, count, event, turn) -> "Record":
+        """With an accepted step, where it began, and what its event recorded."""
+        numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
+        keep = lambda array, x: _put(array, row, accept, x)
+        return Record(
+            _put(self.steps, row, accept, numbers),
+            _put(self.turns, count, event, turn),
+            jax.tree.map(keep, self.kept, begun),
+        )
+
+    def step(self, i, number) -> tuple[Array, Array]:
+        """A step, and what was recorded of its event, the one of that number."""
+        return self.steps[i], self.turns[number]
+
+    @property
+    def count(self) -> Array:
+        """How many steps there are."""
+        return jnp.sum(~jnp.isnan(self.steps[:, _END]))
+
+
+def turning(motion: Motion, mode, direction, t0, t, end: Step, kind) -> Array:
+    """How an event's time follows its value [s per unit], then the rates there.
+
+    With them the time moves by one Newton step, of value zero; not where the event
+    only grazes its zero. They are constants to a first derivative.
+    """
+    slopes, rates = motion.slopes(mode, direction, t, end)
+    slope = slopes[kind]
+    inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
+    grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - t0)
+    return jnp.append(jnp.where(grazes, 0.0, inverse), pack(rates))
+
+
+def replayed(motion: Motion, mode, y, times, record: Record):
+    """A recorded run once more, for its tangents.
+
+    Args:
+        motion: Rates and events; differentiable.
+        mode: At the first time.
+        y: State at the first time; differentiable.
+        times: Output times [s]; differentiable.
+        record: Of the accepted steps.
+
+    Returns:
+        Path, time and state.
+    """
+    begun = _begun(motion, mode, y, times)
+    path = Path.empty(begun.moded, times.shape[0], motion.modes.switches)
+
+    def one(carry):
+        i, place, path = carry
+        row, turn = record.step(i, path.switches.count)
+        end, shown = _stepped(motion, times, place, row, turn)
+        event = row[_KIND] >= 0
+        path = path.after(row[_OUTPUT] > 0, event, place.mode, *shown)
+        return i + 1, end, path
+
+    more = lambda carry: carry[0] < record.count
+    carry = jnp.asarray(0), begun, path
+    _, place, path = jax.lax.while_loop(more, one, carry)
+    return path, place.t, place.moded
+
+
+def _begun(motion: Motion, mode, y, times) -> Place:
+    mode, direction = motion.begun(mode, times[0], y)
+    return Place(times[0], y, mode, direction)
+
+
+def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Place]:
+    """Behind one step: where the next one begins, and what this one shows."""
+    end, begin, kind, output = row
+    t, y, mode, direction = place
+    event = kind >= 0
+    landed = jnp.where(output > 0, times[output.astype(int)], end)
+    step = motion.stepped(mode, direction, t, landed, y)
+    kind = kind.astype(int)
+
+    def passed():
+        value = step.values[kind]
+        shift = -(value - jax.lax.stop_gradient(value)) * turn[0]
+        y = unpack(pack(step.y) + shift * turn[1:], step.y)
+        t = landed + shift
+        return t, *motion.changed(mode, kind, direction, t, y)
+
+    t, mode, direction, y = jax.lax.cond(
+        event, passed, lambda: (landed, mode, direction, step.y)
+    )
+    shown = Place(t, y, mode, motion.along(mode, direction, y))
+    return shown._replace(t=jnp.where(begin == end, t, begin)), shown
+
+
+def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTree:
+    """Cotangents of a run's inputs: its steps backwards, each from where it began.
+
+    Args:
+        make: ``make(varied)`` -> motion, state at the first time, output times.
+        varied: Tree of floats.
+        mode: At the first time.
+        record: Of the accepted steps.
+        asked_of: Cotangents of path, time and state, as :func:`replayed` gives them;
+            those of integers are not looked at.
+    """
+    (saved, _, switches), t, last = asked_of
+
+    def asked_by(row, number):
+        """What outputs and switches ask of the end of a step."""
+        output, event = row[_OUTPUT].astype(int), row[_KIND] >= 0
+        part = lambda where, array, i: jnp.where(where, array[i], 0.0)
+        at_output = lambda array: part(output > 0, array, output)
+        at_event = lambda array: part(event, array, number)
+        y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
+        time, changed = jax.tree.map(at_event, (switches.time, switches.state))
+        return time, jax.tree.map(jnp.add, y, changed), direction
+
+    def one(carry):
+        i, number, asked, moved = carry
+        place = jax.tree.map(lambda x: x[i], record.kept)
+        number = number - jnp.where(record.steps[i, _KIND] >= 0, 1, 0)
+        row, turn = record.step(i, number)
+
+        def ahead(varied, t, y, direction):
+            motion, _, times = make(varied)
+            start = Place(t, y, place.mode, direction)
+            ends = _stepped(motion, times, start, row, turn)
+            return [(p.t, p.y, p.direction) for p in ends]
+
+        _, pull = jax.vjp(ahead, varied, place.t, place.y, place.direction)
+        own, *asked = pull([asked, asked_by(row, number)])
+        return i - 1, number, tuple(asked), jax.tree.map(jnp.add, moved, own)
+
+    asked, none = (t, last.parts, last.direction), jax.tree.map(jnp.zeros_like, varied)
+    events = jnp.sum(record.steps[:, _KIND] >= 0)
+    carry = record.count - 1, events, asked, none
+    *_, asked, moved = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+
+    def start(varied):
+        motion, y, times = make(varied)
+        begun = _begun(motion, mode, y, times)
+        return begun.t, begun.y, begun.direction
+
+    first = jax.tree.map(lambda x: x[0], (saved.parts, saved.direction))
+    asked = asked[0], *jax.tree.map(jnp.add, asked[1:], first)
+    (own,) = jax.vjp(start, varied)[1](asked)
+    return jax.tree.map(jnp.add, moved, own)
