@@ -27,6 +27,7 @@ from .trajectory import Code
 # Accepted steps that a derivative can follow: about 0.3 kB each.
 _RECORDED_STEPS = 2**14
 _ROOT = 1e-12  # of the event's value at the step's start
+_TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
 
 
 class _Bracket(NamedTuple):
@@ -123,7 +124,9 @@ class _Loop(eqx.Module):
         # a few numbers of the clock: no shorter step can be made
         tiny = 4.0 * jnp.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
         share = tried.end.values / jnp.where(c.values > 0.0, c.values, 1.0)
-        kind, least = jnp.argmin(share), jnp.min(share)
+        least = jnp.min(share)
+        # where the contact ends, so does its grip: what counts is that it ends
+        kind = jnp.where(share[1] <= _TOGETHER, 1, jnp.argmin(share))
         known, negative = jnp.isfinite(least), ~(least >= 0.0)
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin

@@ -37,12 +37,15 @@ class Problem(eqx.Module):
     Attributes:
         derivative: ``derivative(model, t, state)`` -> rates, as a state.
         quickness: ``quickness(state)`` -> speeds [rad/s] that limit the first step.
+        sizes: ``sizes(state)`` -> what the default absolute tolerance is multiplied by,
+            as a state.
         corners: ``corners(model)`` -> times at which the right-hand side has a corner
             [s], or None, and whether it may jump there.
     """
 
     derivative: Callable = eqx.field(static=True)
     quickness: Callable = eqx.field(static=True)
+    sizes: Callable = eqx.field(static=True)
     corners: Callable = eqx.field(static=True)
 
 
@@ -105,9 +108,11 @@ def integrate(
         FieldError: tolerances out of range.
     """
     dtype = times.dtype
+    by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
     plan = _Plan(
         problem=problem,
+        by_size=by_size,
         solver=default_solver(rtol) if solver is None else solver,
         controller=stepsize_controller,
         adjoint=adjoint,
@@ -129,6 +134,7 @@ class _Plan(eqx.Module):
     """How to integrate: everything that does not change from call to call."""
 
     problem: Problem
+    by_size: bool
     solver: dfx.AbstractSolver
     controller: dfx.AbstractStepSizeController | None
     adjoint: dfx.AbstractAdjoint | None
@@ -157,7 +163,10 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     y0 = jnp.where(jnp.all(jnp.isfinite(y0)), y0, 0.0)
     y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
     fixed_times = jax.lax.stop_gradient(times)
-    inputs = (model, y0, fixed_times, *tolerances, dt0)
+    rtol, atol = tolerances
+    if plan.by_size:
+        atol = atol * jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
+    inputs = (model, y0, fixed_times, rtol, atol, dt0)
     if plan.adjoint is None:
         solution = differentiable(solve, inputs, _CHECKPOINTS)
     else:
@@ -196,7 +205,8 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         dt0 = jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
-        controller = ReplaySteps(replay, _landings(model, times, plan).jumps)
+        jumps = _landings(model, times, plan).jumps
+        controller = ReplaySteps(times=replay, jumps=jumps, rtol=rtol, atol=atol)
         dt0 = None
     else:
         controller = plan.controller or _landing(model, times, rtol, atol, plan)
@@ -250,7 +260,10 @@ def _landing(
     dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
     controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
     where = _landings(model, times, plan)
-    return LandOn(controller, where) if where.ends.shape[0] > 1 else controller
+    if where.ends.shape[0] == 1:
+        return controller
+    # its tolerances are the controller's, which diffrax declares as fields
+    return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
 
 
 def _landings(model: Any, times, plan: _Plan) -> Landings:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .checks import FieldError, is_traced
-from .coordinates import FlyingState, SlidingState, State
+from .coordinates import FlyingState, SlidingState, State, pack
 from .euler_lagrange import euler_lagrange_derivative
 from .hybrid import integrate_modes
 from .integration import (
@@ -23,9 +23,10 @@ from .integration import (
     tolerances,
     warn_single_precision,
 )
-from .modes import Modes
+from .modes import Modes, of
 from .rolling import contact_of, painleve_margin, rolling_derivative
 from .scene import Rolling, Scene, Slipping, under
+from .small_linear import norm
 from .state_conversion import to_pole_free, to_voronets
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
@@ -66,7 +67,8 @@ def simulate(
         times: Output times [s], shape (T,), T >= 2, strictly increasing (or
             decreasing: the motion backwards). The integrator lands on every one.
         rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
-        atol: Absolute tolerance of a step [unit of the state]; 0.01 rtol by default.
+        atol: Absolute tolerance of a step [unit of the state]; 0.01 rtol by default,
+            for angular velocities times their length at the start if that is over 1.
         formulation: ``"rolling"``, or its twin ``"euler_lagrange"``, the equations of
             the paper.
         coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
@@ -173,6 +175,7 @@ def _simulate_modes(
             "simulate.times", times, "run backwards", "let them increase with modes"
         )
     _check_span(scene, times)
+    by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
     law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
     rolls = lambda x: isinstance(x, Rolling)
@@ -184,6 +187,7 @@ def _simulate_modes(
         jnp.asarray(times),
         jnp.asarray(rtol, dtype),
         jnp.asarray(atol, dtype),
+        by_size,
         default_solver(rtol) if solver is None else solver,
         UNRECORDED_STEPS if max_steps is None else max_steps,
     )
@@ -201,7 +205,9 @@ def _simulate_modes(
 
 
 @eqx.filter_jit
-def _run_modes(scene, start, times, rtol, atol, solver, max_steps):
+def _run_modes(scene, start, times, rtol, atol, by_size, solver, max_steps):
+    if by_size:
+        atol = atol * jax.lax.stop_gradient(pack(_error_sizes(of(start))))
     return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, _corners)
 
 
@@ -211,12 +217,24 @@ def _corners(scene: Scene) -> tuple[Any, bool]:
     return (None, False) if motion is None else (motion.kinks, motion.jumps)
 
 
+def _error_sizes(state: Any) -> Any:
+    """Sizes of a state's numbers, for the default absolute tolerance.
+
+    Those of the angular velocity are its length: of a body that spins fast no component
+    is known better than the rounding of the largest.
+    """
+    w = state.angular_velocity
+    fast = jnp.maximum(norm(w), 1.0)
+    ones = jax.tree.map(jnp.ones_like, state)
+    return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
+
+
 def _spin(state: AnyState) -> Float[Array, "3"]:
     return state.angular_velocity
 
 
 _PROBLEMS = {
-    name: Problem(derivative, _spin, _corners)
+    name: Problem(derivative, _spin, _error_sizes, _corners)
     for name, derivative in {
         "rolling": rolling_derivative,
         "euler_lagrange": euler_lagrange_derivative,

@@ -1,8 +1,10 @@
 """Step controllers: landing on output times, and replaying recorded steps."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -27,7 +29,7 @@ class Landings(NamedTuple):
     jumps: Float[Array, " k"] | None
 
 
-class LandOn(dfx.AbstractStepSizeController):
+class LandOn(dfx.AbstractAdaptiveStepSizeController):
     """Adaptive steps that end exactly on every output time.
 
     An output is then as accurate as the steps (diffrax's interpolants are of order 4
@@ -43,10 +45,26 @@ class LandOn(dfx.AbstractStepSizeController):
     controller: dfx.PIDController
     landings: Landings
 
+    @property
+    def rtol(self):
+        """Of the controller; implicit methods solve to it."""
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        """Of the controller."""
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        """Of the controller."""
+        return self.controller.norm
+
     def wrap(self, direction):
         """The controller for the direction of time in which diffrax works."""
         landings = jax.tree.map(lambda t: t * direction, self.landings)
-        return LandOn(self.controller.wrap(direction), landings)
+        parts = self.controller.wrap(direction), landings
+        return eqx.tree_at(lambda c: (c.controller, c.landings), self, parts)
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
         """First step, and the state: controller, next output, step wanted before."""
@@ -125,21 +143,29 @@ def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, "
     return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
 
 
-class ReplaySteps(dfx.AbstractStepSizeController):
+class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):
     """Steps from recorded times, all accepted; like ``diffrax.StepTo``, but padded.
 
     Attributes:
         times: Where recorded steps began [s], padded with infinity.
         jumps: Times of jumps [s] before which steps end, behind which they begin; None
             for none.
+        rtol: Relative tolerance to which implicit methods solve [1].
+        atol: Absolute tolerance [unit of the state].
+        norm: Of what is left of their equations.
     """
 
     times: Float[Array, " n"]
-    jumps: Float[Array, " k"] | None = None
+    jumps: Float[Array, " k"] | None
+    rtol: Any
+    atol: Any
+    norm: Callable = dfx.PIDController(rtol=1.0, atol=1.0).norm
 
     def wrap(self, direction):
         """The record for the direction of time in which diffrax works."""
-        return jax.tree.map(lambda t: t * direction, self)
+        times = lambda c: c.times if c.jumps is None else (c.times, c.jumps)
+        turned = jax.tree.map(lambda t: t * direction, times(self))
+        return eqx.tree_at(times, self, turned)
 
     def _end(self, index):
         """Where the step ends whose successor is recorded; whether at a jump."""

@@ -143,6 +143,10 @@ def simulate(
     )
 
 
+def _sizes(state: KaneState) -> KaneState:
+    return jax.tree.map(jnp.ones_like, state)
+
+
 def _quickness(state: KaneState) -> Float[Array, " m"]:
     return state.u
 
@@ -152,7 +156,7 @@ def _corners(system: KaneSystem) -> tuple[None, bool]:
     return None, False
 
 
-_PROBLEM = Problem(kane_derivative, _quickness, _corners)
+_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners)
 
 
 def _checked_start(system: KaneSystem, start: KaneState) -> KaneState:
