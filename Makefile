@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint format bench docs clean
+.PHONY: demo test test-all lint format bench stability docs clean
 
 demo: .venv/.installed
 	@mkdir -p out
@@ -30,6 +30,9 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/laws.py --out benchmarks/results
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
+
+stability: .venv/.bench
+	$(BIN)/python benchmarks/stability.py --out benchmarks/results
 
 docs: .venv/.docs
 	$(BIN)/mkdocs build --strict

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import diffrax as dfx
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import ellipj, ellipk
@@ -92,13 +93,17 @@ def tilt(run):
     )
 
 
-def steady(angle):
-    """Fifty turns of a disc whose centre rests: sin(tilt) Omega^2 = 4 g / r."""
+def steady_start(angle):
+    """A disc whose centre rests, and fifty turns: sin(tilt) Omega^2 = 4 g / r."""
     turning = np.sqrt(4.0 * G / 0.0375 * np.sin(angle))
     spin = turning * np.array([0.0, np.cos(angle), np.sin(angle)])
     scene = rk.Scene(DISC)
     start = rk.place(scene, about(0, angle), spin, STILL)
-    end = 50.0 * 2.0 * np.pi * np.sin(angle) / turning
+    return scene, start, 50.0 * 2.0 * np.pi * np.sin(angle) / turning
+
+
+def steady(angle):
+    scene, start, end = steady_start(angle)
     run = rk.simulate(scene, start, np.linspace(0.0, end, 101), rtol=RTOL)
     return apart(tilt(run) / angle, 1.0)
 
@@ -125,13 +130,18 @@ def disc_steady_5():
     return steady(1e-5)
 
 
+def falling_start(twist):
+    """A disc let go at 0.5 rad with a little twist."""
+    scene = rk.Scene(DISC)
+    return scene, rk.place(scene, about(0, 0.5), (0.0, 0.0, twist), STILL)
+
+
 def fall_and_rise(twist, half):
-    """A disc let go at 0.5 rad with a little twist: falls nearly flat, rises again.
+    """It falls nearly flat and rises again.
 
     By the symmetry of time it is back at 0.5 rad when it has risen as long as it fell.
     """
-    scene = rk.Scene(DISC)
-    start = rk.place(scene, about(0, 0.5), (0.0, 0.0, twist), STILL)
+    scene, start = falling_start(twist)
     times = np.array([0.0, half, 2.0 * half])
     run = rk.simulate(scene, start, times, rtol=RTOL)
     return max(apart(tilt(run)[-1], 0.5), variation(run.energy))
@@ -176,19 +186,24 @@ def triangle_limit():
 # -- fast ------------------------------------------------------------------------------
 
 
-def fast_sphere(spin):
-    """A ball with its mass centre off its middle: energy and Jellett's constant."""
+def fast_start(spin):
+    """A ball with its mass centre off its middle, leaning, and 300 turns."""
     mass, I1, I3, off = 0.5, 1.6e-3, 2.1e-3, np.array([0.0, 0.0, -0.02])
     scene = rk.Scene(rk.Body(mass, np.diag([I1, I1, I3]), rk.Sphere(0.1), off))
     lean = 0.3
     axis = np.array([np.sin(lean), 0.0, np.cos(lean)])
     start = rk.place(scene, about(1, lean), spin * axis, STILL)
-    end = 300.0 * 2.0 * np.pi / spin
+    return scene, start, 300.0 * 2.0 * np.pi / spin
+
+
+def fast_sphere(spin):
+    """Energy and Jellett's constant."""
+    scene, start, end = fast_start(spin)
     run = rk.simulate(scene, start, np.linspace(0.0, end, 31), rtol=RTOL)
 
     def jellett(scene, t, state):
-        r = rk.contact_of(scene, t, state).body_point - off
-        return jnp.sum(jnp.array([I1, I1, I3]) * state.angular_velocity * r)
+        r = rk.contact_of(scene, t, state).body_point - scene.body.center_of_mass
+        return jnp.sum(jnp.diag(scene.body.inertia) * state.angular_velocity * r)
 
     return max(variation(run.energy), variation(run.each(jellett)))
 
@@ -296,16 +311,22 @@ def pole_12():
     return beside_a_pole(1e-12)
 
 
-def ball_in_a_bowl(ratio):
-    """A pendulum: theta'' = -5/7 g / (R - r) sin theta, by elliptic functions."""
-    radius, top = 1.0, 0.5
-    r = ratio * radius
+TOP = 0.5  # rad, where the ball in the bowl is let go
+
+
+def bowl_start(r):
+    """A ball of radius r in a bowl of radius 1."""
     body = rk.Body(1.0, 0.4 * r * r * np.eye(3), rk.Sphere(r))
-    scene = rk.Scene(body, rk.Base(rk.Sphere(radius, inside=True)))
-    contact = radius * np.array([np.sin(top), 0.0, -np.cos(top)])
-    start = rk.place(scene, UP, STILL, contact)
-    rate = np.sqrt(5.0 / 7.0 * G / (radius - r))
-    k = np.sin(0.5 * top) ** 2
+    scene = rk.Scene(body, rk.Base(rk.Sphere(1.0, inside=True)))
+    contact = np.array([np.sin(TOP), 0.0, -np.cos(TOP)])
+    return scene, rk.place(scene, UP, STILL, contact)
+
+
+def ball_in_a_bowl(r):
+    """A pendulum: theta'' = -5/7 g / (R - r) sin theta, by elliptic functions."""
+    scene, start = bowl_start(r)
+    rate = np.sqrt(5.0 / 7.0 * G / (1.0 - r))
+    k = np.sin(0.5 * TOP) ** 2
     times = np.linspace(0.0, 8.0 * ellipk(k) / rate, 9)  # two periods
     run = rk.simulate(scene, start, times, rtol=RTOL)
     sn = ellipj(ellipk(k) - rate * times, k)[0]
@@ -336,16 +357,14 @@ def conforming_6():
     return ball_in_a_bowl(0.999999)
 
 
-def along_a_slope(axes, moment):
-    """An ellipsoid across a slope of 30 degrees: g sin / (1 + J / m r^2)."""
+def slope_start(r, moment):
+    """A long ellipsoid of radius r, across a slope of 30 degrees."""
     inertia = np.diag([moment, 10.0 * moment, 10.0 * moment])
     scene = rk.Scene(
-        rk.Body(1.0, inertia, rk.Ellipsoid(axes)),
+        rk.Body(1.0, inertia, rk.Ellipsoid((1e3 * r, r, r))),
         loads=rk.Gravity(G * np.array([0.0, 0.5, -np.sqrt(0.75)])),
     )
-    start = rk.place(scene, UP, STILL, STILL)
-    run = rk.simulate(scene, start, [0.0, 1.0, 2.0], rtol=RTOL)
-    return run
+    return scene, rk.place(scene, UP, STILL, STILL)
 
 
 @case(
@@ -357,9 +376,18 @@ def along_a_slope(axes, moment):
 )
 def nearly_cylinder():
     r, moment = 0.1, 0.005
-    run = along_a_slope((100.0, r, r), moment)
+    run = rk.simulate(*slope_start(r, moment), [0.0, 1.0, 2.0], rtol=RTOL)
+    # g sin 30 / (1 + J / m r^2)
     way = 0.25 * G / (1.0 + moment / r**2) * np.asarray(run.time) ** 2
     return apart(run.position[:, 1] / way[-1], way / way[-1])
+
+
+def needle_start():
+    """A needle that leans 0.07 rad from its tip, with a slow turn."""
+    a, r = 1.0, 1e-3
+    inertia = 0.2 * np.diag([2 * r * r, a * a + r * r, a * a + r * r])
+    scene = rk.Scene(rk.Body(1.0, inertia, rk.Ellipsoid((a, r, r))))
+    return scene, rk.place(scene, about(1, 1.5), (0.0, 0.0, 0.1), STILL)
 
 
 @case(
@@ -370,10 +398,7 @@ def nearly_cylinder():
     "10^3 steps of 1e-12",
 )
 def needle():
-    a, r = 1.0, 1e-3
-    inertia = 0.2 * np.diag([2 * r * r, a * a + r * r, a * a + r * r])
-    scene = rk.Scene(rk.Body(1.0, inertia, rk.Ellipsoid((a, r, r))))
-    start = rk.place(scene, about(1, 1.5), (0.0, 0.0, 0.1), STILL)
+    scene, start = needle_start()
     run = rk.simulate(scene, start, np.linspace(0.0, 1.0, 21), rtol=RTOL)
     return variation(run.energy)
 
@@ -424,6 +449,7 @@ def beside_the_empty(inner):
     "energy over 2 s, relative, with the spring's",
     1e-8,
     "10^3 steps of 1e-12, conditioned by the mass ratio over sixteen digits",
+    slow=True,
 )
 def heavy_inside():
     shell = rk.Body(1.0, 2.0 / 3.0 * 0.01 * np.eye(3), rk.Sphere(0.1))
@@ -476,6 +502,7 @@ BALL = rk.Body(6.0, 0.4 * 6.0 * 0.11**2 * np.eye(3), rk.Sphere(0.11))
     "bowling ball that grips, against the closed form [m], with Kvaerno5",
     1e-7,
     "the grip comes within eps / mu g of its time; implicit steps of 1e-9",
+    slow=True,
 )
 def regularised_friction():
     mu, v = 0.2, 8.0
@@ -528,6 +555,7 @@ def shaken_plate():
     "no gap below zero, no pull: depth [m] and pull [m g]",
     1e-9,
     "events are found to 1e-12 of their values",
+    slow=True,
 )
 def shaken_by_record():
     record = rk.builtin_record("kaikoura-2016-wtmc")
@@ -551,6 +579,13 @@ def shaken_by_record():
 # -- slow, at rest --------------------------------------------------------------------
 
 
+def turntable_start(rate, v):
+    """A ball on a turntable, with a velocity along x."""
+    ball = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(ball, rk.Base(rk.Plane(), rk.Spin(rate)))
+    return scene, rk.place(scene, UP, (0.0, v / 0.1, 0.0), STILL)
+
+
 @case(
     "10^6 s of a ball on a slow turntable",
     "drift; billions of steps",
@@ -560,9 +595,7 @@ def shaken_by_record():
 )
 def slow_scene():
     rate, v = 1e-4, 1e-5
-    ball = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
-    scene = rk.Scene(ball, rk.Base(rk.Plane(), rk.Spin(rate)))
-    start = rk.place(scene, UP, (0.0, v / 0.1, 0.0), STILL)
+    scene, start = turntable_start(rate, v)
     times = np.linspace(0.0, 1e6, 11)
     run = rk.simulate(scene, start, times, rtol=1e-9)
     turn = 2.0 / 7.0 * rate  # of the centre's velocity, at first along x
@@ -594,3 +627,101 @@ def rest():
     run = rk.simulate(scene, rk.place(scene, UP, STILL, STILL), [0.0, 1.0])
     found.append(apart(run.position[-1], run.position[0]))
     return max(found)
+
+
+# -- single precision, derivatives ----------------------------------------------------
+
+
+def everything():
+    """Scenes and starts of the cases above, with an end that float32 can follow."""
+    yield "disc at 1e-3 rad", *steady_start(1e-3)
+    yield "disc falls to 1e-3 rad", *falling_start(1.2338), 0.14
+    yield "spin of 10^3 rad/s", *fast_start(1e3)
+    yield "rattleback", *problems.reference_case("c09")[:2], 2.0
+    yield "ball in a bowl, 0.999", *bowl_start(0.999), 0.2
+    yield "nearly a cylinder", *slope_start(0.1, 0.005), 2.0
+    yield "needle", *needle_start(), 1.0
+    light = shell_with_mass(1e-6, 1e-2)
+    yield (
+        "light mass inside",
+        light,
+        rk.place(light, UP, (0.3, 10.0, 1.0), STILL, [0.0], [0.0]),
+        1.0,
+    )
+    yield "slow turntable", *turntable_start(1e-4, 1e-5), 1e5
+    egg = rk.Scene(rk.Body(1.0, 0.01 * np.eye(3), rk.Ellipsoid((0.1, 0.15, 0.2))))
+    yield "let go at rest", egg, rk.place(egg, about(0, 1.0), STILL, STILL), 1.0
+
+
+@case(
+    "these in single precision, but for the slow turntable",
+    "NaN, or no end",
+    "energy (moving energy) over the largest kinetic energy, at the default rtol 1e-5",
+    1e-2,
+    "up to 10^3 steps of 1e-5",
+    slow=True,
+)
+def single_precision():
+    return max(single_precision_errors().values())
+
+
+def single_precision_errors() -> dict[str, float]:
+    """Of every scene, by its name."""
+    found = {}
+    for name, scene, start, end in everything():
+        if name == "slow turntable":  # see test_slow_scene_in_single_precision
+            continue
+        small = jax.tree.map(lambda x: x.astype(jnp.float32), (scene, start))
+        run = rk.simulate(*small, np.linspace(0.0, end, 11))
+        assert run.position.dtype == jnp.float32
+        # potential energies have any zero: over the largest change of a part
+        kinetic = run.each(rk.observables.kinetic_energy)
+        size = max(float(np.ptp(kinetic)), float(np.max(kinetic)))
+        off = apart(run.moving_energy, run.moving_energy[0]) / size
+        found[name] = off if bool(run.succeeded) else np.inf
+    return found
+
+
+@case(
+    "derivatives of all of these",
+    "NaN where something is 0/0, wrong by what the step control does",
+    "by the size of the start's angular velocity and of gravity, against differences, "
+    "relative",
+    1e-5,
+    "fourth-order differences of steps 1e-4: 1e-16 of the step and 1e-12 / 1e-4 of the "
+    "solves, times the growth of the motion",
+    slow=True,
+)
+def derivatives():
+    return max(derivative_errors().values())
+
+
+# of the differences: small where a motion is sensitive, large where it is slow
+STEPS = {"disc falls to 1e-3 rad": 1e-6, "slow turntable": 1e-2}
+
+
+def derivative_errors() -> dict[str, float]:
+    """Of every scene, by its name; of the rattleback within its first 2 s."""
+    found = {}
+    for name, scene, start, end in everything():
+
+        def outcome(x, scene=scene, start=start, end=end):
+            spun = eqx.tree_at(
+                lambda s: s.angular_velocity, start, x * start.angular_velocity
+            )
+            heavy = eqx.tree_at(
+                lambda s: s.loads[0].acceleration,
+                scene,
+                x * scene.loads[0].acceleration,
+            )
+            run = rk.simulate(heavy, spun, [0.0, 0.5 * end, end], rtol=1e-12)
+            return jnp.concatenate([run.position[-1], run.orientation[-1]])
+
+        run = jax.jit(outcome)
+        moved = jax.jit(lambda x, f=outcome: jax.jvp(f, (x,), (jnp.ones(()),))[1])
+        h = STEPS.get(name, 1e-4)
+        near = {n: run(1.0 + n * 0.5 * h) for n in (-2, -1, 1, 2)}
+        expected = (8.0 * (near[1] - near[-1]) - (near[2] - near[-2])) / (6.0 * h)
+        found[name] = apart(moved(jnp.ones(())), expected)
+        found[name] /= float(jnp.abs(expected).max())
+    return found
