@@ -16,9 +16,11 @@ from jaxtyping import Array
 
 from .coordinates import FlyingState, SlidingState, State, pack
 from .differentiate import differentiable
+from .integration import in_order
 from .mode_changes import Motion, Step
 from .mode_replay import Path, Place, Record, pulled_back, replayed, turning
-from .modes import HybridState, Mode, ModedState, Switches, in_modes, of
+from .modes import HybridState, Mode, ModedState, Switches, in_modes, of, slipping
+from .rolling import LEAST_MARGIN, painleve_margin
 from .scene import Scene
 from .steps import Landings, first_step, landings
 from .tableau import tableau_of
@@ -112,8 +114,8 @@ class _Loop(eqx.Module):
         lands = ~c.searching & (goal - at.t <= c.step * (1.0 + 1e-9))
         length = jnp.where(c.searching, _trial(c.bracket), c.step)
         t1 = jnp.where(lands, goal, at.t + length)
-        end = self.motion.stepped(c.place.mode, c.place.direction, at.t, t1, c.place.y)
-        a, b = pack(c.place.y), pack(end.y)
+        end = self.motion.stepped(at.mode, at.direction, at.t, t1, at.y)
+        a, b = pack(at.y), pack(end.y)
         allowed = self.atol + self.rtol * jnp.maximum(jnp.abs(a), jnp.abs(b))
         size = jnp.sqrt(jnp.mean((end.error / allowed) ** 2))
         return _Tried(t1, end, size, lands)
@@ -169,7 +171,8 @@ class _Loop(eqx.Module):
         jammed = event & ~jnp.all(jnp.isfinite(pack(y)))
         accept = verdict.accept & ~full & ~jammed
         lands = tried.lands & accept
-        saves = lands & (tried.t == self.times[c.path.index])
+        # a step ends one number before a jump, even if that is an output
+        saves = lands & (jnp.nextafter(tried.t, jnp.inf) >= self.times[c.path.index])
         following = after
         if self.landings.jumps is not None:
             begin = jnp.where(lands, self.landings.starts[c.landing], tried.t)
@@ -287,6 +290,10 @@ def integrate_modes(
         c = loop.run(jnp.asarray(mode), y, max_steps, adjoint is not None)
         ended = c.path.index >= times.shape[0]
         code = jnp.where((c.code == 0) & ~ended, Code.MAX_STEPS, c.code)
+        stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
+        bad = stuck | ~in_order(times) | (times[0] > times[-1])
+        code = jnp.where(bad, Code.BAD_START, code)
+        code = jnp.where(_stuck_by_friction(motion, code, c.place), Code.PAINLEVE, code)
         t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
         return _outcome(c.path, t, last, code, c.accepted, rejected), c.record
 
@@ -297,6 +304,18 @@ def integrate_modes(
 
     inputs = scene, of(start), times, rtol, atol
     return differentiable(solve, inputs, pull=pull)
+
+
+def _stuck_by_friction(motion: Motion, code, place: Place) -> Array:
+    """Whether a run ended because no normal force fits the friction of its slip."""
+    mu = motion.modes.friction
+    if mu is None:
+        return jnp.asarray(False)
+    scene = slipping(motion.scenes.rolling, mu, place.direction, place.y)
+    margin = painleve_margin(scene, place.t, place.y.sliding())
+    stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
+    slips = place.mode == Mode.SLIPPING
+    return stopped & slips & (margin < LEAST_MARGIN)
 
 
 def _outcome(path: Path, t, last, code, steps, rejected) -> HybridOutcome:

@@ -175,10 +175,11 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     if plan.saveat is None:
         move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
         y = move(y, times)
+    code = jnp.where(in_order(times), solution.code, Code.BAD_START)
     return Outcome(
         time=times if plan.saveat is None else solution.time,
         state=unpack(y, like),
-        code=solution.code,
+        code=code,
         final_time=solution.final_time,
         final_state=unpack(solution.final_y, like),
         steps=solution.steps,
@@ -352,6 +353,13 @@ def checked_times(times: Any, dtype) -> Float[Array, " T"]:
             "sort them and leave out repeated ones",
         )
     return times
+
+
+def in_order(times: Float[Array, " T"]) -> Array:
+    """Whether times are finite, and all later or all earlier than the one before."""
+    steps = jnp.diff(times)
+    one_way = jnp.all(steps > 0) | jnp.all(steps < 0)
+    return one_way & jnp.all(jnp.isfinite(times))
 
 
 def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:

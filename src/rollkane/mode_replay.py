@@ -187,7 +187,10 @@ def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Pla
     end, begin, kind, output = row
     t, y, mode, direction = place
     event = kind >= 0
-    landed = jnp.where(output > 0, times[output.astype(int)], end)
+    # an output's time moves the end of its step, which may be one number before it
+    asked = times[output.astype(int)]
+    moved = asked - jax.lax.stop_gradient(asked)
+    landed = jnp.where(output > 0, end + moved, end)
     step = motion.stepped(mode, direction, t, landed, y)
     kind = kind.astype(int)
 

@@ -15,6 +15,10 @@ from .scene import RubberRolling, Scene
 from .small_linear import dot, matvec
 from .voronets import AnyState, VoronetsState, chart_contact
 
+# a run towards Painleve's paradox ends just before it, with the normal force growing
+# over all
+LEAST_MARGIN = 1e-3
+
 
 def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
     """The contact of a scene's body.

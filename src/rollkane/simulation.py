@@ -24,7 +24,7 @@ from .integration import (
     warn_single_precision,
 )
 from .modes import Modes, of
-from .rolling import contact_of, painleve_margin, rolling_derivative
+from .rolling import LEAST_MARGIN, contact_of, painleve_margin, rolling_derivative
 from .scene import Rolling, Scene, Slipping, under
 from .small_linear import norm
 from .state_conversion import to_pole_free, to_voronets
@@ -32,8 +32,6 @@ from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
 _COORDINATES = ("pole-free", "voronets")
-# a run towards the paradox ends just before it, with the normal force growing over all
-_MARGIN = 1e-3
 
 
 def simulate(
@@ -225,6 +223,7 @@ def _error_sizes(state: Any) -> Any:
     """
     w = state.angular_velocity
     fast = jnp.maximum(norm(w), 1.0)
+    fast = jnp.where(jnp.isfinite(fast), fast, 1.0)  # a bad start is refused elsewhere
     ones = jax.tree.map(jnp.ones_like, state)
     return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
 
@@ -263,7 +262,7 @@ def _has_margin(scene: Scene) -> bool:
 def _code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
     margin = painleve_margin(scene, t, state)
     stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
-    return jnp.where(stopped & (margin < _MARGIN), Code.PAINLEVE, code)
+    return jnp.where(stopped & (margin < LEAST_MARGIN), Code.PAINLEVE, code)
 
 
 @jax.jit

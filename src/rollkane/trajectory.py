@@ -38,8 +38,8 @@ _REASONS = {
     Code.STEP_TOO_SMALL: "the step became too small for the clock: the motion reached "
     "a singular place (a tip, an edge of a chart, surfaces that fit each other) or a "
     "function of yours gave NaN there; look at final_time and final_state",
-    Code.BAD_START: "the start cannot be used: a number in it or in the scene, or its "
-    "first rates, are not finite",
+    Code.BAD_START: "the start cannot be used: a number in it, in the scene or in the "
+    "times, or its first rates, are not finite, or the times are not in order",
     Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
     'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
     "or with another chart",

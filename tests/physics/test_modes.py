@@ -305,6 +305,38 @@ def test_gradient_of_a_landing_point():
     assert (np.abs(forward - reverse) < 1e-9 * size).all()
 
 
+@pytest.mark.slow
+def test_painleve_is_reported_in_modes():
+    """The rod of test_contact_laws that jams, and the same pulled the other way."""
+    rod = rk.Body(1.0, np.diag([1 / 3, 1e-3, 1 / 3]), rk.Sphere(0.01, (0, -1.0, 0)))
+    upright = (np.cos(0.45), np.sin(0.45), 0.0, 0.0)
+    slips = rk.Scene(rod, contact=rk.Slipping(rk.CoulombFriction(3.0)))
+    modes = rk.Modes(friction=3.0)
+    for way, code in ((1.0, rk.Code.COMPLETED), (-1.0, rk.Code.PAINLEVE)):
+        start = rk.place(slips, upright, STILL, STILL, slip=(0.0, way, 0.0))
+        run = rk.simulate(
+            rk.Scene(rod), start, [0.0, 0.02], modes=rk.Modes(friction=3.0)
+        )
+        assert run.code == code
+
+
+@pytest.mark.slow
+def test_an_output_on_a_jump_of_the_base():
+    """A plate that starts to move at 0.5 s with 1 m/s^2: the ball gets 2/7 of it."""
+    late = lambda t: 0.5 * jnp.where(t > 0.5, (t - 0.5) ** 2, 0.0)
+    motion = rk.BaseMotion(
+        lambda t: jnp.stack([late(t), 0.0 * t, 0.0 * t]), kinks=[0.5]
+    )
+    scene = rk.Scene(BALL, rk.Base(rk.Plane(), motion))
+    start = rk.place(scene, UP, STILL, STILL)
+    times = np.array([0.0, 0.5, 1.0])
+    run = rk.simulate(scene, start, times, modes=rk.Modes(friction=0.5), rtol=1e-10)
+    assert run.succeeded
+    np.testing.assert_allclose(
+        run.position[:, 0], [0.0, 0.0, 0.125 * 2 / 7], atol=1e-12
+    )
+
+
 REFUSED = {
     "an option that is not used": (
         lambda: rk.simulate(LANE, None, [0.0, 1.0], modes=rk.Modes(), dt0=0.1),

@@ -605,7 +605,7 @@ def slow_scene():
 
 
 @case(
-    "starts at rest: on a tip, in a bowl, with friction and no slip",
+    "starts at rest: on a plane, on a tip, with friction and no slip",
     "0/0 in directions of slip and of rolling",
     "a body at rest in balance stays there [m]",
     1e-12,
