@@ -109,6 +109,7 @@ def simulate(
             "rtol": rtol or file.rtol,
             "atol": atol or file.atol,
             "max_steps": max_steps,
+            "modes": file.modes,
         },
         quiet,
     )

@@ -85,6 +85,11 @@ class Modes(eqx.Module):
         self.rest_speed = positive("Modes.rest_speed", rest_speed, (), "a speed in m/s")
         self.lifts, self.switches = lifts, switches
 
+    @property
+    def does_work(self) -> bool:
+        """Whether slips or landings may take energy."""
+        return self.friction is not None or self.restitution is not None
+
 
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9

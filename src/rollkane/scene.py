@@ -20,6 +20,11 @@ class Rolling(eqx.Module):
     Bilateral: a motion that pulls runs on, and the result says when that began.
     """
 
+    @property
+    def does_work(self) -> bool:
+        """False: the contact force does not move."""
+        return False
+
 
 class RubberRolling(Rolling):
     """Contact law: rolling without slipping and without turning about the normal.
@@ -59,9 +64,19 @@ class Slipping(eqx.Module):
         _require("Slipping.friction", friction, AbstractFriction, remedy)
         self.friction = friction
 
+    @property
+    def does_work(self) -> bool:
+        """True: friction takes energy."""
+        return True
+
 
 class Flying(eqx.Module):
     """No contact: the body flies under its loads (a mode of a run with ``modes``)."""
+
+    @property
+    def does_work(self) -> bool:
+        """False."""
+        return False
 
 
 class Base(eqx.Module):
@@ -188,7 +203,7 @@ class Scene(eqx.Module):
     def does_work(self) -> bool:
         """Whether anything but the base's motion may change the energy."""
         active = any(part.does_work for part in (*self.supported, *self.loads))
-        return active or isinstance(self.contact, Slipping)
+        return active or self.contact.does_work
 
 
 def under(scene: Scene, law, loads=None) -> Scene:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .history import History, history
+from .modes import Mode, Switches
 from .rolling import contact_of, rolling_derivative
 from .scene import Scene
 from .small_linear import dot
@@ -17,6 +18,8 @@ _MOST_LISTED = 12
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
 _NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
 _NO_FRICTION = 1e-12  # rounding of forces
+_DOES = {Mode.ROLLING: "rolls", Mode.SLIPPING: "slips", Mode.FLYING: "flies"}
+_SHOWN = 8  # changes of the contact
 _CLOSE = 1e-9  # of the spacing of the samples
 
 
@@ -29,7 +32,8 @@ def summary(trajectory: Trajectory) -> list[str]:
     Returns:
         Lines: spin about the base's normal and about the body's axis next to it
         [rad/s] before and after, when they changed sign [s], relative drift of the
-        energy that has to be kept [1] or how it changed [J], steps, the normal force
+        energy that has to be kept [1] or how it changed [J], when the contact changed
+        [s] in a run with ``modes``, steps, the normal force
         [N] (or when the contact would first have had to pull), and the friction
         coefficient that rolling needed [1].
 
@@ -44,10 +48,32 @@ def summary(trajectory: Trajectory) -> list[str]:
         lines += _spin_lines(trajectory, motion, rows)
         lines.append(_energy_line(motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
+    lines += _switch_lines(trajectory.switches)
     lines.append(_line("steps", f"{steps} accepted, {rejected} rejected"))
     if rows.size:
         lines += _force_lines(trajectory, motion)
     return lines
+
+
+def _switch_lines(switches: Switches | None) -> list[str]:
+    """The first changes of the contact, and how many more there were."""
+    if switches is None:
+        return []
+    count = int(switches.count)
+    if not count:
+        return [_line("contact", "never changed")]
+    times, before, after = map(
+        np.asarray, (switches.time, switches.before, switches.after)
+    )
+    lines = [
+        _line(
+            "contact" if i == 0 else "",
+            f"{_DOES[before[i]]} -> {_DOES[after[i]]} at t = {times[i]:.6g} s",
+        )
+        for i in range(min(count, _SHOWN))
+    ]
+    more = count - len(lines)
+    return [*lines, _line("", f"and {more} more changes")] if more else lines
 
 
 def sign_changes(

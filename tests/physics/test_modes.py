@@ -314,9 +314,7 @@ def test_painleve_is_reported_in_modes():
     modes = rk.Modes(friction=3.0)
     for way, code in ((1.0, rk.Code.COMPLETED), (-1.0, rk.Code.PAINLEVE)):
         start = rk.place(slips, upright, STILL, STILL, slip=(0.0, way, 0.0))
-        run = rk.simulate(
-            rk.Scene(rod), start, [0.0, 0.02], modes=rk.Modes(friction=3.0)
-        )
+        run = rk.simulate(rk.Scene(rod), start, [0.0, 0.02], modes=modes)
         assert run.code == code
 
 

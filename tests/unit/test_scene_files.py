@@ -19,8 +19,9 @@ from rollkane.scene_files import (
 )
 from rollkane.scene_files.building import _BY_FORMULA, _CATALOGUE
 from rollkane.scene_files.formulas import Formula, FormulaError, parse
+from rollkane.scene_files.load_tables import GravityTable
 from rollkane.scene_files.positions import line_and_column, positions
-from rollkane.scene_files.tables import SURFACES, GravityTable
+from rollkane.scene_files.tables import SURFACES
 
 GOOD = """\
 title = "a ball"

@@ -14,9 +14,9 @@ import numpy as np
 from ..bodies import Body
 from ..checks import FieldError
 from ..coordinates import State
-from ..loads import Gravity
+from ..modes import Modes
 from ..placement import place
-from ..scene import Base, Scene
+from ..scene import Base, Scene, Slipping, under
 from ..surfaces import (
     AbstractSurface,
     Cone,
@@ -31,6 +31,7 @@ from ..surfaces import (
     Sphere,
     Torus,
 )
+from .acting import contact_of, loads_of, modes_of
 from .attempting import attempt, noting, product_of_turns, usable
 from .checking import likely_kind
 from .formulas import Formula
@@ -58,28 +59,29 @@ _BY_FORMULA = {
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
-def build(report: Report) -> tuple[Scene, State] | None:
+def build(report: Report) -> tuple[Scene, State, Modes | None] | None:
     """Make what a file describes, and note what the library refuses.
 
     Args:
         report: Knows the file, its checked tables and what is wrong with it.
 
     Returns:
-        The scene and its start, or None where something was wrong.
+        The scene, its start and its modes, or None where something was wrong.
     """
     body = _body(report)
     base = _base(report)
-    loads = _loads(report)
+    loads, law = loads_of(report), contact_of(report)
+    modes = modes_of(report)
     supported = supported_of(report)
     _check_tolerance(report)
     scene = None
     found = base is not None and loads is not None and supported is not None
-    if body is not None and found:
-        scene = Scene(body, base, supported, loads)
+    if body is not None and law is not None and found:
+        scene = Scene(body, base, supported, loads, law)
     start = _start(scene, report)
     if scene is None or start is None:
         return None
-    return scene, start
+    return scene, start, modes
 
 
 def _body(report: Report) -> Body | None:
@@ -103,19 +105,6 @@ def _base(report: Report) -> Base | None:
         if report.has_below(("base",)) or surface is None
         else Base(surface, motion)
     )
-
-
-def _loads(report: Report) -> tuple[Gravity, ...] | None:
-    given = report.document.get("loads")
-    if given is None:
-        return (Gravity(),)
-    loads = []
-    for i, table in enumerate(given if isinstance(given, list) else ()):
-        path = ("loads", i)
-        if isinstance(table, dict):
-            arguments = usable(path, ("acceleration",), (), report)
-            loads.append(attempt(Gravity, arguments, noting(path, arguments, report)))
-    return None if report.has_below(("loads",)) else tuple(loads)
 
 
 def _surface(path: Path, report: Report) -> AbstractSurface | None:
@@ -183,11 +172,15 @@ def _start(scene: Scene | None, report: Report) -> State | None:
     still = np.zeros(0 if scene is None else scene.coordinate_count)
     arguments |= {name: given.get(name, still) for name in ("alpha", "alpha_dot")}
     where = None if report.has_below(("start",)) else scene
+    if "slip" in given:
+        arguments["slip"] = given["slip"]
+        if where is not None and "modes" in report.document:
+            where = under(where, Slipping())  # until it grips
     if where is None:  # some part is missing: judge at least what needs no scene
         where = Scene(Body(1.0, np.eye(3), Sphere(1.0)))
         scene = None
         arguments |= {"contact_on_base": (0.0, 0.0, 0.0), "base_normal": None}
-        arguments |= {"alpha": (), "alpha_dot": ()}
+        arguments |= {"alpha": (), "alpha_dot": (), "slip": None}
 
     def note(name: str, error: FieldError) -> None:
         if error.field == "Scene.supported":

@@ -12,7 +12,7 @@ from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at
 
 _PAIRS = (("orientation", "rotations"), ("angular_velocity", "angular_velocity_body"))
-_TABLES = ("body", "base", "surface", "motion", "start", "run")
+_TABLES = ("body", "base", "surface", "motion", "contact", "modes", "start", "run")
 _WANTED = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -159,10 +159,13 @@ def likely_kind(table: dict[str, Any], known_kinds: Any = SURFACES) -> str | Non
 def _with_likely_kinds(document: dict[str, Any]) -> dict[str, Any] | None:
     """The document with likely kinds for unknown ones; None if all are known."""
     changed = copy.deepcopy(document)
-    parts = document.get("supported")
-    count = len(parts) if isinstance(parts, list) else 0
     paths: list[Path] = [("body", "surface"), ("base", "surface"), ("base", "motion")]
-    for path in paths + [("supported", i) for i in range(count)]:
+    paths.append(("contact",))
+    for name in ("supported", "loads"):
+        parts = document.get(name)
+        count = len(parts) if isinstance(parts, list) else 0
+        paths += [(name, i) for i in range(count)]
+    for path in paths:
         table, kinds = _found(changed, path), kinds_at(path)
         if isinstance(table, dict) and (likely := likely_kind(table, kinds)):
             table["kind"] = likely

@@ -25,6 +25,7 @@ class SceneFile:
     Attributes:
         scene: A ``rollkane.Scene``: what rolls on what, under which loads.
         start: A ``rollkane.State``: how the motion starts.
+        modes: ``rollkane.Modes``, or None: the contact never changes.
         times: Output times [s], shape (T,).
         rtol: Relative tolerance of a step [1], or None for the default.
         atol: Absolute tolerance of a step [unit of the state], or None.
@@ -36,6 +37,7 @@ class SceneFile:
 
     scene: Any
     start: Any
+    modes: Any
     times: np.ndarray
     rtol: float | None
     atol: float | None
@@ -71,11 +73,12 @@ def load_scene(source: str | PathLike[str]) -> SceneFile:
     made = build(report)
     report.raise_if_any()
     assert made is not None  # whatever could not be made has been noted
-    scene, start = made
+    scene, start, modes = made
     run = RunTable.model_validate(document["run"])
     return SceneFile(
         scene=scene,
         start=start,
+        modes=modes,
         times=np.linspace(0.0, run.duration, run.outputs),
         rtol=run.rtol,
         atol=run.atol,

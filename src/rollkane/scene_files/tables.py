@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from .load_tables import CONTACTS, LOADS, Contact, Load, ModesTable
 from .moving_tables import MOTIONS, SUPPORTED, Motion, Supported
 from .positions import Path
 from .table_types import (
@@ -154,16 +155,6 @@ class ImplicitTable(Table):
     )
 
 
-class GravityTable(Table):
-    """Uniform gravity."""
-
-    kind: Literal["gravity"]
-    acceleration: Vector = Field(
-        default=[0.0, 0.0, -9.81],
-        description="three components in the fixed axes [m/s^2]",
-    )
-
-
 SURFACES: dict[str, type[Table]] = {
     "plane": PlaneTable,
     "sphere": SphereTable,
@@ -177,7 +168,6 @@ SURFACES: dict[str, type[Table]] = {
     "parametric": ParametricTable,
     "implicit": ImplicitTable,
 }
-LOADS: dict[str, type[Table]] = {"gravity": GravityTable}
 
 Surface = Annotated[
     PlaneTable
@@ -254,6 +244,11 @@ class StartTable(Table):
         default=[0.0, 0.0, 0.0],
         description="the contact point on the base's surface, base axes [m]",
     )
+    slip: Vector | None = Field(
+        default=None,
+        description="three components of the slip, fixed axes, for a contact that "
+        "slips or may slip [m/s]; left out, none",
+    )
     base_normal: Vector | None = Field(
         default=None,
         description="the base's outward normal there, only for a base with an edge [1]",
@@ -293,12 +288,21 @@ class SceneTable(Table):
     base: BaseTable | None = Field(
         default=None, description="a table [base]; left out, the plane z = 0"
     )
-    loads: list[GravityTable] | None = Field(
+    loads: list[Load] | None = Field(
         default=None,
         description="tables [[loads]]; left out, gravity; loads = [] for none",
     )
     supported: list[Supported] | None = Field(
         default=None, description="tables [[supported]] of what the body carries"
+    )
+    contact: Contact | None = Field(
+        default=None,
+        description='a table such as { kind = "coulomb", coefficient = 0.2 }; left '
+        "out, rolling",
+    )
+    modes: ModesTable | None = Field(
+        default=None,
+        description="a table [modes]; left out, the contact never changes",
     )
     start: StartTable = Field(description="a table [start]")
     run: RunTable = Field(description="a table [run]")
@@ -311,6 +315,8 @@ def kinds_at(path: Path) -> dict[str, type[Table]] | None:
             return SURFACES
         case ("loads", int()):
             return LOADS
+        case ("contact",):
+            return CONTACTS
         case ("base", "motion"):
             return MOTIONS
         case ("supported", int()):
@@ -337,6 +343,8 @@ def table_at(path: Path, kind: Any = None) -> type[Table] | None:
             return BaseTable
         case ("start",):
             return StartTable
+        case ("modes",):
+            return ModesTable
         case ("run",):
             return RunTable
     return None
