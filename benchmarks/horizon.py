@@ -94,29 +94,12 @@ def rattleback():
     return file.scene, file.start, 5.0
 
 
-def keeping_energy(scene, start):
-    """Steps of Dopri8 whose angular velocity is scaled onto the start's energy."""
-    from rollkane.observables import energy, kinetic_energy
-
-    zero = jnp.zeros(())
-    wanted = float(energy(scene, zero, start))
-
-    def keep(state):
-        moving = kinetic_energy(scene, zero, state)
-        resting = energy(scene, zero, state) - moving
-        scale = jnp.sqrt((wanted - resting) / moving)
-        w = scale * state.angular_velocity
-        return eqx.tree_at(lambda s: s.angular_velocity, state, w)
-
-    return rk.Keeping(dfx.Dopri8(), keep)
-
-
 def choices(scene, start, spin):
     """Methods: name and arguments of a run."""
     for rtol in (1e-9, 1e-11, 1e-13):
         yield f"Dopri8, rtol {rtol:.0e}", {"rtol": rtol, "solver": dfx.Dopri8()}
     yield "Tsit5, rtol 1e-09", {"rtol": 1e-9, "solver": dfx.Tsit5()}
-    kept = keeping_energy(scene, start)
+    kept = rk.keeping_energy(scene, start)
     yield "Dopri8 on the energy, rtol 1e-09", {"rtol": 1e-9, "solver": kept}
     for stages, turn in ((1, 0.01), (3, 0.03)):
         yield (

@@ -25,7 +25,7 @@ _ROOMS = {
     "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
     "friction": ("CoulombFriction", "StribeckFriction", "ViscousFriction"),
-    "keeping": ("Keeping",),
+    "keeping": ("Keeping", "keeping_energy"),
     "loads": ("Drag", "Force", "Gravity", "Potential", "Torque"),
     "modes": ("Mode", "Modes", "Switches"),
     "placement": ("place",),
@@ -79,6 +79,7 @@ if TYPE_CHECKING:
     from .friction import ViscousFriction as ViscousFriction
     from .geometry import LocalGeometry as LocalGeometry
     from .keeping import Keeping as Keeping
+    from .keeping import keeping_energy as keeping_energy
     from .loads import Drag as Drag
     from .loads import Force as Force
     from .loads import Gravity as Gravity

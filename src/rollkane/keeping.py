@@ -1,12 +1,37 @@
 """Steps that are brought back onto what the motion keeps."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .coordinates import pack, unpack
+from .checks import FieldError
+from .coordinates import State, pack, unpack
+from .observables import energy, kinetic_energy
+from .scene import Scene
+
+
+class _Corrected(dfx.AbstractLocalInterpolation):
+    """A solver's interpolation, which ends where the step was brought back to."""
+
+    kind: Callable = eqx.field(static=True)
+    dense: Any
+    change: Float[Array, " y"]
+    t0: Any
+    t1: Any
+
+    def evaluate(self, t0, t1=None, left=True):
+        """At a time; the difference of two times where both are given."""
+        if t1 is not None:
+            return self.evaluate(t1) - self.evaluate(t0)
+        inner = self.kind(t0=self.t0, t1=self.t1, **self.dense)
+        span = self.t1 - self.t0
+        share = jnp.where(span == 0.0, 1.0, (t0 - self.t0) / span)
+        return inner.evaluate(t0, left=left) + share * self.change
 
 
 class Keeping(dfx.AbstractWrappedSolver):
@@ -34,8 +59,8 @@ class Keeping(dfx.AbstractWrappedSolver):
 
     @property
     def interpolation_cls(self):
-        """That of the solver."""
-        return self.solver.interpolation_cls
+        """That of the solver, and what was brought back."""
+        return functools.partial(_Corrected, self.solver.interpolation_cls)
 
     @property
     def term_compatible_contr_kwargs(self):
@@ -71,9 +96,47 @@ class Keeping(dfx.AbstractWrappedSolver):
         """A step of the solver, brought back."""
         # rates that the solver remembers from its own end would be slightly others
         made_jump = True
-        y1, *rest = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
-        return pack(self.keep(unpack(y1, self.like))), *rest
+        stepped = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
+        y1, error, dense, memory, result = stepped
+        kept = pack(self.keep(unpack(y1, self.like)))
+        return kept, error, {"dense": dense, "change": kept - y1}, memory, result
 
     def of(self, like: Any) -> "Keeping":
         """For states of known sizes."""
         return Keeping(self.solver, self.keep, like)
+
+
+def keeping_energy(
+    scene: Scene, start: State, solver: dfx.AbstractSolver | None = None
+) -> Keeping:
+    """A solver whose every step ends on the energy [J] of the start.
+
+    The angular velocity is scaled by what the step's error asks for. Make it once:
+    every new one is compiled anew.
+
+    Args:
+        scene: One that keeps its energy.
+        start: Where the motion starts; the body must move there.
+        solver: A diffrax solver; ``Dopri8()`` when left out.
+
+    Raises:
+        FieldError: a scene whose energy may change, or that carries coordinates.
+    """
+    if scene.does_work or scene.base.motion is not None or scene.coordinate_count:
+        raise FieldError(
+            "keeping_energy.scene",
+            scene,
+            "does not keep its energy, or carries coordinates",
+            "leave out what does work, or write the function for Keeping yourself",
+        )
+    zero = jnp.zeros((), start.angular_velocity.dtype)
+    wanted = energy(scene, zero, start)
+
+    def keep(state: State) -> State:
+        moving = kinetic_energy(scene, zero, state)
+        resting = energy(scene, zero, state) - moving
+        scale = jnp.sqrt((wanted - resting) / moving)
+        turned = scale * state.angular_velocity
+        return eqx.tree_at(lambda s: s.angular_velocity, state, turned)
+
+    return Keeping(dfx.Dopri8() if solver is None else solver, keep)

@@ -38,6 +38,7 @@ NAMES = {
     "SlidingState",
     "FlyingState",
     "Keeping",
+    "keeping_energy",
     "Mode",
     "Modes",
     "Switches",
