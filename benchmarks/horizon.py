@@ -152,23 +152,23 @@ def measure(problem, revolutions: int) -> list[dict]:
 def draw(found: dict, path: Path) -> None:
     """Energy error against time, a panel for each scene."""
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     fig, axes = plt.subplots(
-        1, len(found), figsize=(10, 4), sharey=True, layout="constrained"
+        1, len(found), figsize=(10, 4.6), sharey=True, layout="constrained"
     )
     for ax, (name, rows) in zip(axes, found.items(), strict=True):
         for row in rows:
-            if row["reached"]:
-                ax.loglog(row["seconds"], max(row["energy"], 1e-16), "o")
-                ax.annotate(
-                    row["method"], (row["seconds"], max(row["energy"], 1e-16)),
-                    textcoords="offset points", xytext=(6, 4), fontsize=7.5,
-                )  # fmt: skip
+            error = max(row["energy"], 1e-16)
+            ax.loglog(row["seconds"], error, "o", markersize=8, label=row["method"])
         ax.set_title(name)
         ax.set_xlabel("time of the run [s]")
-        ax.margins(x=0.35, y=0.1)
+        ax.set_xlim(1.0, 1000.0)
+        ax.xaxis.set_minor_formatter(NullFormatter())
         ax.grid(color="0.93")
     axes[0].set_ylabel("largest energy error, relative")
+    handles, labels = axes[0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False)
     fig.savefig(path, dpi=110)
     plt.close(fig)
 

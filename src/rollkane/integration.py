@@ -112,7 +112,6 @@ def integrate(
     rtol, atol = tolerances(rtol, atol, dtype)
     plan = _Plan(
         problem=problem,
-        by_size=by_size,
         solver=default_solver(rtol) if solver is None else solver,
         controller=stepsize_controller,
         adjoint=adjoint,
@@ -122,7 +121,7 @@ def integrate(
         if progress_meter is None
         else progress_meter,
     )
-    numbers = [_scalar(rtol, dtype), _scalar(atol, dtype)]
+    numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
     if stepsize_controller is None and saveat is None:
         return _integrate(plan, None, model, start, times, numbers, dt0)
@@ -134,7 +133,6 @@ class _Plan(eqx.Module):
     """How to integrate: everything that does not change from call to call."""
 
     problem: Problem
-    by_size: bool
     solver: dfx.AbstractSolver
     controller: dfx.AbstractStepSizeController | None
     adjoint: dfx.AbstractAdjoint | None
@@ -163,9 +161,9 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     y0 = jnp.where(jnp.all(jnp.isfinite(y0)), y0, 0.0)
     y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
     fixed_times = jax.lax.stop_gradient(times)
-    rtol, atol = tolerances
-    if plan.by_size:
-        atol = atol * jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
+    rtol, atol, by_size = tolerances
+    sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
+    atol = atol * jnp.where(by_size, sizes, 1.0)
     inputs = (model, y0, fixed_times, rtol, atol, dt0)
     if plan.adjoint is None:
         solution = differentiable(solve, inputs, _CHECKPOINTS)

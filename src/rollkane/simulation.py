@@ -185,7 +185,7 @@ def _simulate_modes(
         jnp.asarray(times),
         jnp.asarray(rtol, dtype),
         jnp.asarray(atol, dtype),
-        by_size,
+        jnp.asarray(by_size),
         default_solver(rtol) if solver is None else solver,
         UNRECORDED_STEPS if max_steps is None else max_steps,
     )
@@ -204,8 +204,8 @@ def _simulate_modes(
 
 @eqx.filter_jit
 def _run_modes(scene, start, times, rtol, atol, by_size, solver, max_steps):
-    if by_size:
-        atol = atol * jax.lax.stop_gradient(pack(_error_sizes(of(start))))
+    sizes = jax.lax.stop_gradient(pack(_error_sizes(of(start))))
+    atol = atol * jnp.where(by_size, sizes, 1.0)
     return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, _corners)
 
 
