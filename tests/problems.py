@@ -128,6 +128,22 @@ def product(p, q) -> np.ndarray:
     )
 
 
+def quaternion(R):
+    """Shepperd's method: divides by the largest component only."""
+    K = np.array(
+        [
+            [np.trace(R), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
+            [0, 2 * R[0, 0] - np.trace(R), R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
+            [0, 0, 2 * R[1, 1] - np.trace(R), R[1, 2] + R[2, 1]],
+            [0, 0, 0, 2 * R[2, 2] - np.trace(R)],
+        ]
+    )
+    K = np.triu(K) + np.triu(K, 1).T
+    largest = np.argmax(np.diag(K))
+    q = K[largest] + np.eye(4)[largest]
+    return q / np.linalg.norm(q)
+
+
 def matrix(q) -> np.ndarray:
     w, v = q[0], np.asarray(q[1:])
     K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])

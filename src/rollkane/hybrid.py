@@ -168,8 +168,8 @@ class _Loop(eqx.Module):
         )
         after = Place(tried.t, y, mode, self.motion.along(mode, direction, y))
         full = event & (c.path.switches.count >= self.motion.modes.switches)
-        jammed = event & ~jnp.all(jnp.isfinite(pack(y)))
-        accept = verdict.accept & ~full & ~jammed
+        lost = event & ~jnp.all(jnp.isfinite(pack(y)))
+        accept = verdict.accept & ~full & ~lost
         lands = tried.lands & accept
         # a step ends one number before a jump, even if that is an output
         saves = lands & (jnp.nextafter(tried.t, jnp.inf) >= self.times[c.path.index])
@@ -194,7 +194,7 @@ class _Loop(eqx.Module):
             record=record,
             accepted=c.accepted + jnp.where(accept, 1, 0),
             tried=c.tried + 1,
-            code=jnp.where(jammed, Code.PAINLEVE, code),
+            code=jnp.where(lost, Code.STEP_TOO_SMALL, code),
         )
 
     def _recorded(self, c: _Run, tried: _Tried, verdict: _Verdict, accept, saves, next):

@@ -20,6 +20,7 @@ from .small_linear import (
     components,
     cross,
     dot,
+    matmul,
     matvec,
     matvec_transposed,
     norm,
@@ -135,7 +136,16 @@ def _improved(scene: Scene, t, state: FlyingState) -> FlyingState:
     slope = jax.jacfwd(lambda x: _apart(scene, t, state, x)[0])(rest)
     if left.shape[0] == 2:
         return _moved(scene, state, -solve_2x2(slope, left))
-    return _moved(scene, state, -jnp.linalg.solve(slope, left))
+    return _moved(scene, state, -_solve_by_points(slope, left))
+
+
+def _solve_by_points(slope, left) -> Float[Array, "4"]:
+    """Moves of both points; the base's, whose block is near its metric, eliminated."""
+    own = solve_2x2(slope[:2, :2], left[:2])
+    by_body = solve_2x2(slope[:2, :2], slope[:2, 2:])
+    rest = slope[2:, 2:] - matmul(slope[2:, :2], by_body)
+    body = solve_2x2(rest, left[2:] - matvec(slope[2:, :2], own))
+    return jnp.concatenate([own - matvec(by_body, body), body])
 
 
 def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:

@@ -263,7 +263,7 @@ def pole_start(beside, order=(0, 1, 2)):
     scene = rk.Scene(rk.Body(1.5, np.diag(P @ moments), rk.Ellipsoid(P @ axes)))
     # body axis 2 of the first naming points down, but for the angle beside it
     R = problems.matrix(about(0, beside)) @ P.T
-    return scene, rk.place(scene, quaternion(R), (2.0, 5.0, 0.5), STILL)
+    return scene, rk.place(scene, problems.quaternion(R), (2.0, 5.0, 0.5), STILL)
 
 
 def beside_a_pole(beside):
@@ -274,22 +274,6 @@ def beside_a_pole(beside):
         run = rk.simulate(scene, start, np.linspace(0.0, 0.4, 6), rtol=RTOL)
         ends.append(run.position)
     return apart(*ends)
-
-
-def quaternion(R):
-    """Of a rotation matrix, by its largest component."""
-    K = np.array(
-        [
-            [np.trace(R), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [0, 2 * R[0, 0] - np.trace(R), R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [0, 0, 2 * R[1, 1] - np.trace(R), R[1, 2] + R[2, 1]],
-            [0, 0, 0, 2 * R[2, 2] - np.trace(R)],
-        ]
-    )
-    K = np.triu(K) + np.triu(K, 1).T
-    largest = np.argmax(np.diag(K))
-    q = K[largest] + np.eye(4)[largest]
-    return q / np.linalg.norm(q)
 
 
 _POLE = (

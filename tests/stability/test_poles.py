@@ -28,29 +28,13 @@ def axis_down(axis: int, sign: int, beside: float):
     return R
 
 
-def quaternion(R):
-    """Shepperd's method: divides by the largest component only."""
-    K = np.array(
-        [
-            [np.trace(R), R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
-            [0, 2 * R[0, 0] - np.trace(R), R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]],
-            [0, 0, 2 * R[1, 1] - np.trace(R), R[1, 2] + R[2, 1]],
-            [0, 0, 0, 2 * R[2, 2] - np.trace(R)],
-        ]
-    )
-    K = np.triu(K) + np.triu(K, 1).T
-    largest = np.argmax(np.diag(K))
-    q = K[largest] + np.eye(4)[largest]
-    return q / np.linalg.norm(q)
-
-
 def through(surface, permutation, R, base=None, contact=(0.0, 0.0, 0.0)):
     """Backwards and forwards from the pole; positions and turns of the body."""
     P = np.eye(3)[list(permutation)]  # new body axes on old ones
     scene = rk.Scene(
         rk.Body(1.5, np.diag(P @ MOMENTS), surface, P @ [0.003, -0.004, 0.002]), base
     )
-    q = quaternion(R @ P.T)
+    q = problems.quaternion(R @ P.T)
     start = rk.place(scene, q, (2.0, 5.0, 0.5), contact)
     out = []
     for times in (TIMES, -TIMES):
@@ -147,7 +131,7 @@ def test_gradient_at_a_pole():
     def end(surface, spin):
         scene = rk.Scene(rk.Body(1.5, np.diag(MOMENTS), surface))
         omega = jnp.stack([spin, jnp.asarray(5.0), jnp.asarray(0.5)])
-        start = rk.place(scene, quaternion(R), omega, (0.0, 0.0, 0.0))
+        start = rk.place(scene, problems.quaternion(R), omega, (0.0, 0.0, 0.0))
         return rk.simulate(scene, start, (0.0, 0.4), rtol=1e-12).final_state.orientation
 
     round_ = rk.Revolution(lambda s: (0.2 * jnp.sin(s), -0.1 * jnp.cos(s)))
