@@ -109,11 +109,11 @@ def simulate(
         return _simulate_modes(
             scene, start, times, modes, rtol, atol, solver, max_steps
         )
-    _check_start(scene, start)
+    check_start(scene, start)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
-    _check_span(scene, times)
+    check_span(scene, times)
     start = _in_coordinates(coordinates, scene, start, times[0])
     outcome = integrate(
         _PROBLEMS[formulation],
@@ -172,7 +172,7 @@ def _simulate_modes(
         raise FieldError(
             "simulate.times", times, "run backwards", "let them increase with modes"
         )
-    _check_span(scene, times)
+    check_span(scene, times)
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
     law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
@@ -204,18 +204,18 @@ def _simulate_modes(
 
 @eqx.filter_jit
 def _run_modes(scene, start, times, rtol, atol, by_size, solver, max_steps):
-    sizes = jax.lax.stop_gradient(pack(_error_sizes(of(start))))
+    sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
-    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, _corners)
+    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, corners)
 
 
-def _corners(scene: Scene) -> tuple[Any, bool]:
+def corners(scene: Scene) -> tuple[Any, bool]:
     """Kinks of the base's motion [s], and whether its acceleration may jump there."""
     motion = scene.base.motion
     return (None, False) if motion is None else (motion.kinks, motion.jumps)
 
 
-def _error_sizes(state: Any) -> Any:
+def error_sizes(state: Any) -> Any:
     """Sizes of a state's numbers, for the default absolute tolerance.
 
     Those of the angular velocity are its length: of a body that spins fast no component
@@ -233,7 +233,7 @@ def _spin(state: AnyState) -> Float[Array, "3"]:
 
 
 _PROBLEMS = {
-    name: Problem(derivative, _spin, _error_sizes, _corners)
+    name: Problem(derivative, _spin, error_sizes, corners)
     for name, derivative in {
         "rolling": rolling_derivative,
         "euler_lagrange": euler_lagrange_derivative,
@@ -246,12 +246,12 @@ def _code_at(outcome: Outcome, scene: Scene) -> Array:
     state = outcome.final_state
     if isinstance(state, VoronetsState):
         return _code_in_charts(outcome.code, scene, outcome.final_time, state)
-    if _has_margin(scene):
-        return _code_by_margin(outcome.code, scene, outcome.final_time, state)
+    if has_margin(scene):
+        return code_by_margin(outcome.code, scene, outcome.final_time, state)
     return outcome.code
 
 
-def _has_margin(scene: Scene) -> bool:
+def has_margin(scene: Scene) -> bool:
     """Whether something is proportional to the normal force."""
     law = scene.contact
     slips = isinstance(law, Slipping) and law.friction.needs_normal_force
@@ -259,7 +259,8 @@ def _has_margin(scene: Scene) -> bool:
 
 
 @jax.jit
-def _code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
+def code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
+    """The code, PAINLEVE where a step was too small for want of a normal force."""
     margin = painleve_margin(scene, t, state)
     stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
     return jnp.where(stopped & (margin < LEAST_MARGIN), Code.PAINLEVE, code)
@@ -285,7 +286,7 @@ def _check_names(formulation: str, coordinates: str) -> None:
 
 def _check_law(scene: Scene, formulation: str, coordinates: str) -> None:
     """The paper's equations and coordinates are those of rolling alone."""
-    alone = type(scene.contact) is Rolling and not _has_margin(scene)
+    alone = type(scene.contact) is Rolling and not has_margin(scene)
     for field, value, general in (
         ("simulate.formulation", formulation, "rolling"),
         ("simulate.coordinates", coordinates, "pole-free"),
@@ -299,7 +300,8 @@ def _check_law(scene: Scene, formulation: str, coordinates: str) -> None:
             )
 
 
-def _check_start(scene: Scene, start: AnyState) -> None:
+def check_start(scene: Scene, start: AnyState) -> None:
+    """Refuse a start that does not belong to the scene."""
     if not isinstance(start, (State, VoronetsState)):
         raise FieldError(
             "simulate.start", start, "must be a State", "make it with rollkane.place"
@@ -338,7 +340,7 @@ def _check_start(scene: Scene, start: AnyState) -> None:
             )
 
 
-def _check_span(scene: Scene, times: Any) -> None:
+def check_span(scene: Scene, times: Any) -> None:
     """Refuse times at which the base's motion is not known."""
     motion = scene.base.motion
     span = None if motion is None else motion.span

@@ -10,6 +10,22 @@ from jaxtyping import Array, Float
 from .checks import FieldError
 
 
+class Weights(NamedTuple):
+    """An explicit method whose last stage is the end of its step, as plain numbers.
+
+    Attributes:
+        rows: Weights of the rates known before each stage but the first.
+        nodes: Share of the step at each of these stages.
+        error: Weights of all rates in the error estimate.
+        order: That the error estimate counts on.
+    """
+
+    rows: tuple[tuple[float, ...], ...]
+    nodes: tuple[float, ...]
+    error: tuple[float, ...]
+    order: int
+
+
 class Tableau(NamedTuple):
     """An explicit method whose last stage is the end of its step.
 
@@ -25,8 +41,12 @@ class Tableau(NamedTuple):
     error: Float[Array, " s"]
 
 
-def tableau_of(solver: Any, dtype) -> Tableau:
-    """Coefficients of a diffrax solver.
+def weights_of(solver: Any, purpose: str) -> Weights:
+    """Coefficients of a diffrax solver as numbers.
+
+    Args:
+        solver: diffrax solver.
+        purpose: What it is wanted for, for the error.
 
     Raises:
         FieldError: not an explicit Runge-Kutta method with an error estimate whose
@@ -38,12 +58,28 @@ def tableau_of(solver: Any, dtype) -> Tableau:
         raise FieldError(
             "simulate.solver",
             type(solver).__name__,
-            "cannot make the steps of a run with modes",
+            f"cannot make the steps of {purpose}",
             "use diffrax.Tsit5(), Dopri5(), Dopri8() or Bosh3()",
         )
-    count = len(known.a_lower) + 1
+    numbers = lambda row: tuple(float(x) for x in row)
+    return Weights(
+        rows=tuple(numbers(row) for row in known.a_lower),
+        nodes=numbers(known.c),
+        error=numbers(known.b_error),
+        order=solver.order(None),
+    )
+
+
+def tableau_of(solver: Any, dtype) -> Tableau:
+    """Coefficients of a diffrax solver as arrays, for a run with modes.
+
+    Raises:
+        FieldError: see :func:`weights_of`.
+    """
+    weights = weights_of(solver, "a run with modes")
+    count = len(weights.rows) + 1
     rows = np.zeros((count, count))
-    for i, row in enumerate(known.a_lower, start=1):
+    for i, row in enumerate(weights.rows, start=1):
         rows[i, count - i :] = row  # the newest of the rates stands last
-    nodes = np.concatenate([[0.0], known.c])
-    return Tableau(*(jnp.asarray(x, dtype) for x in (rows, nodes, known.b_error)))
+    nodes = np.concatenate([[0.0], weights.nodes])
+    return Tableau(*(jnp.asarray(x, dtype) for x in (rows, nodes, weights.error)))

@@ -1,0 +1,373 @@
+"""Many motions at once: in blocks, on all cores, in memory that is the block's."""
+
+import os
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .checks import FieldError, is_traced
+from .coordinates import State
+from .integration import UNRECORDED_STEPS, checked_times, default_solver, tolerances
+from .lane_blocks import LaneBlocks, NotForLanesError
+from .members import members_of
+from .modes import Modes
+from .scene import Scene
+from .simulation import check_span, check_start, simulate
+from .trajectory import Code, reason_of
+
+# what a block's states may take [bytes]
+_ROOM = 2**25
+_MOST_IN_BLOCK = 8192
+_METHODS = ("auto", "lanes", "diffrax")
+
+Observable = Callable[[Scene, Float[Array, ""], State], Any]
+
+
+class Ensemble(eqx.Module):
+    """Motions of N members at T times, as NumPy arrays.
+
+    Attributes:
+        time: [s], shape (T,).
+        state: States at these times, every array with (N, T) in front, NaN where not
+            reached; None where something else was observed.
+        observed: What ``observe`` gave, every array with (N, T) in front; None without.
+        code: Why each motion ended, one of :class:`Code`, shape (N,); 0 is success.
+        final_time: Time that was reached [s], shape (N,).
+        final_state: State at that time, every array with (N,) in front.
+        steps: Accepted steps, shape (N,).
+        rejected_steps: Rejected steps, shape (N,).
+        first: Number of the first member: of a block, its place in the ensemble.
+        method: ``"lanes"`` or ``"diffrax"``: which integrated.
+        why: Why it was not the lanes; empty if it was, or if diffrax was asked for.
+    """
+
+    time: Float[Array, " T"]
+    state: State | None
+    observed: Any
+    code: Int[Array, " N"]
+    final_time: Float[Array, " N"]
+    final_state: State
+    steps: Int[Array, " N"]
+    rejected_steps: Int[Array, " N"]
+    first: int
+    method: str = eqx.field(static=True)
+    why: str = eqx.field(static=True)
+
+    @property
+    def succeeded(self) -> Any:
+        """Whether each motion reached its last time, shape (N,)."""
+        return self.code == Code.COMPLETED
+
+    @property
+    def reasons(self) -> dict[str, int]:
+        """Why motions ended, and how many ended so."""
+        counts = Counter(np.asarray(self.code).tolist())
+        return {reason_of(code): count for code, count in sorted(counts.items())}
+
+
+def ensemble(
+    scene: Scene | Callable[[Array], Scene],
+    starts: State | Callable[[Array], State],
+    times: Any,
+    *,
+    observe: Observable | None = None,
+    count: int | None = None,
+    scene_axes: Any = None,
+    rtol: float | None = None,
+    atol: float | None = None,
+    solver: dfx.AbstractSolver | None = None,
+    modes: Modes | None = None,
+    max_steps: int | None = None,
+    method: str = "auto",
+    block: int | None = None,
+    workers: int | None = None,
+) -> Ensemble:
+    """Motions of many members: starts, scenes, or both differ.
+
+    The steps are those of :func:`rollkane.simulate`; a member that cannot go on ends
+    with a code of its own and disturbs no other. On a CPU the right-hand side is
+    compiled together with a loop in which every lane of the processor's vectors
+    follows its own motion at its own step size (method ``"lanes"``); what that loop
+    does not have (modes, other solvers, records, a machine without a C compiler, a
+    GPU, derivatives) runs as ``simulate`` under ``jax.vmap`` (``"diffrax"``).
+
+    Args:
+        scene: Scene; every number of it may have an axis of N members in front, as
+            ``jax.vmap`` of a function that makes scenes gives it. Or such a function
+            of the member's number, called block by block.
+        starts: States, from ``jax.vmap`` of :func:`rollkane.place`, or a function of
+            the member's number; a single one is shared by all.
+        times: Output times [s], shape (T,), T >= 2, those of all members; only the
+            first and the last where no more is wanted.
+        observe: ``observe(scene, t, state)`` -> tree of arrays, kept at the times
+            instead of the states, such as those of ``rollkane.observables``.
+        count: N, where functions of the member's number do not tell.
+        scene_axes: As ``in_axes`` of ``jax.vmap``, for scenes whose own functions have
+            parameters that differ; found out otherwise.
+        rtol: As in ``simulate`` [1].
+        atol: As in ``simulate`` [unit of the state].
+        solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
+        modes: How runs may change between rolling, slipping and flight.
+        max_steps: Most steps of a member; 4194304 by default.
+        method: ``"lanes"``, ``"diffrax"``, or ``"auto"``: lanes where they can.
+        block: Members that are worked on together; by default as many as keep outputs
+            of 32 MiB, at most 8192.
+        workers: Threads; as many as processors by default.
+
+    Returns:
+        The ensemble. Where an argument is traced (``jax.grad``, ``jax.jit``), it is
+        made of JAX arrays and can be differentiated.
+
+    Raises:
+        FieldError: bad input, or a method that cannot do what is asked.
+    """
+    run = _Run(
+        *(scene, starts, times, observe, count, scene_axes, rtol, atol, solver),
+        *(modes, max_steps, method, block, workers),
+    )
+    if run.traced:
+        return run.whole()
+    parts = list(run.blocks())
+    arrays = [eqx.filter(part, eqx.is_array) for part in parts]
+    joined = jax.tree.map(lambda *x: np.concatenate(x), *arrays)
+    joined = eqx.tree_at(lambda e: e.time, joined, parts[0].time)
+    return eqx.combine(joined, parts[0])
+
+
+def ensemble_blocks(
+    scene: Scene | Callable[[Array], Scene],
+    starts: State | Callable[[Array], State],
+    times: Any,
+    **options: Any,
+) -> Iterator[Ensemble]:
+    """An ensemble block by block, as it is computed: memory is that of a few blocks.
+
+    Args:
+        scene: As in :func:`ensemble`.
+        starts: As in ``ensemble``; a function of the member's number where even the
+            starts would fill the memory.
+        times: Output times [s], shape (T,).
+        options: Those of ``ensemble``.
+
+    Yields:
+        Ensembles of the members in order, each with ``first``, the number of its
+        first member.
+
+    Raises:
+        FieldError: as ``ensemble``; traced arguments.
+    """
+    run = _Run(scene, starts, times, **options)
+    if run.traced:
+        raise FieldError(
+            "ensemble_blocks", "a traced value", "cannot stream", "call ensemble"
+        )
+    return run.blocks()
+
+
+class _Run:
+    """One call, checked and planned."""
+
+    def __init__(
+        self,
+        scene,
+        starts,
+        times,
+        observe=None,
+        count=None,
+        scene_axes=None,
+        rtol=None,
+        atol=None,
+        solver=None,
+        modes=None,
+        max_steps=None,
+        method="auto",
+        block=None,
+        workers=None,
+    ):
+        self.members = members_of(scene, starts, count, scene_axes)
+        self.traced = is_traced(scene, starts, times, rtol, atol)
+        if method not in _METHODS:
+            raise FieldError(
+                "ensemble.method", method, "is not known", f"use one of {_METHODS}"
+            )
+        self.observe = observe
+        self.example = jax.eval_shape(self.members.example)
+        like = self.example[1]
+        dtype = like.angular_velocity.dtype
+        self.times = checked_times(times, dtype)
+        self.how = {
+            "rtol": rtol,
+            "atol": atol,
+            "modes": modes,
+            "max_steps": max_steps,
+            "solver": solver,
+        }
+        self.why, self.lanes = "", None
+        if not self.traced:
+            self._check(modes)
+        if method != "diffrax":
+            self._choose(method)
+        self.block = self._size(block)
+        self.workers = _whole("workers", workers, _processors())
+
+    def _check(self, modes) -> None:
+        scene, start = self.members.example()
+        check_span(scene, self.times)
+        if modes is None:
+            check_start(scene, start)
+
+    def _choose(self, method: str) -> None:
+        """The loop over lanes, or why not."""
+        try:
+            self.lanes = self._by_lanes()
+        except NotForLanesError as error:
+            if method == "lanes":
+                remedy = 'choose method="diffrax" or "auto"'
+                raise FieldError(
+                    "ensemble.method", method, str(error), remedy
+                ) from error
+            self.why = str(error)
+
+    def _by_lanes(self) -> LaneBlocks:
+        if self.traced:
+            raise NotForLanesError("derivatives and traced arguments need diffrax")
+        if self.how["modes"] is not None:
+            raise NotForLanesError("runs with modes need the loop of simulate")
+        if jax.default_backend() != "cpu":
+            raise NotForLanesError(f"numbers are on a {jax.default_backend()}")
+        rtol, _ = tolerances(self.how["rtol"], self.how["atol"], self.times.dtype)
+        return LaneBlocks(
+            self.members,
+            np.asarray(self.times),
+            self.how["rtol"],
+            self.how["atol"],
+            self.how["solver"] or default_solver(rtol),
+            _whole("max_steps", self.how["max_steps"], UNRECORDED_STEPS),
+        )
+
+    def _size(self, block) -> int:
+        numbers = sum(x.size for x in jax.tree.leaves(self.example[1]))
+        fitting = _ROOM // (8 * max(numbers, 1) * self.times.shape[0])
+        # small enough that every processor has some
+        fair = -(-self.members.count // _processors())
+        default = max(min(_MOST_IN_BLOCK, fitting, fair), 1)
+        return min(_whole("block", block, default), self.members.count)
+
+    def whole(self) -> Ensemble:
+        """All members at once, as JAX arrays."""
+        scene, starts = self.members.block(0, self.members.count)
+        return self._by_diffrax(scene, starts, 0, self.members.count)
+
+    def blocks(self) -> Iterator[Ensemble]:
+        """The blocks in order; while one is taken, the next ones are computed."""
+        firsts = range(0, self.members.count, self.block)
+        with ThreadPoolExecutor(self.workers) as pool:
+            under_way: deque = deque()
+            for first in firsts:
+                under_way.append(pool.submit(self._one, first))
+                if len(under_way) > self.workers:
+                    yield under_way.popleft().result()
+            while under_way:
+                yield under_way.popleft().result()
+
+    def _one(self, first: int) -> Ensemble:
+        """One block, as NumPy arrays."""
+        count = min(self.block, self.members.count - first)
+        scene, starts = self.members.block(first, first + count)
+        scene, starts = self._filled(scene, starts, count)
+        run = self._by_diffrax if self.lanes is None else self._in_lanes
+        return run(scene, starts, first, count)
+
+    def _filled(self, scene, starts, count: int):
+        """A last, shorter block filled up with its last member: compiled once."""
+        missing = self.block - count
+        if not missing:
+            return scene, starts
+
+        def repeated(x, axis):
+            if axis is None:
+                return x
+            x = jnp.asarray(x)
+            return jnp.concatenate([x, jnp.repeat(x[-1:], missing, axis=0)])
+
+        return self.members.mapped(repeated, scene, starts)
+
+    def _in_lanes(self, scene, starts, first: int, count: int) -> Ensemble:
+        assert self.lanes is not None
+        state, results = self.lanes.run(scene, starts)
+        return self._ensemble(
+            first,
+            count,
+            scene,
+            state,
+            results.code,
+            results.final_time,
+            self.lanes.states(results.final_y),
+            results.steps,
+            results.rejected_steps,
+        )
+
+    def _by_diffrax(self, scene, starts, first: int, count: int) -> Ensemble:
+        run = _simulated(self.members.axes(), self.how, scene, starts, self.times)
+        return self._ensemble(
+            first,
+            count,
+            scene,
+            run.state,
+            run.code,
+            run.final_time,
+            run.final_state,
+            run.steps,
+            run.rejected_steps,
+        )
+
+    def _ensemble(self, first, count, scene, state, *rest) -> Ensemble:
+        observed = None
+        if self.observe is not None:
+            axes = self.members.axes()[0]
+            observed = _observed(self.observe, axes, scene, self.times, state)
+            state = None
+        parts: Any = state, observed, *rest
+        if not self.traced:
+            # without what filled the block up
+            parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
+        method = "diffrax" if self.lanes is None else "lanes"
+        times: Any = self.times
+        return Ensemble(times, *parts, first=first, method=method, why=self.why)
+
+
+@eqx.filter_jit
+def _observed(observe, axes, scene, times, state):
+    of_times = jax.vmap(observe, in_axes=(None, 0, 0))
+    return jax.vmap(of_times, in_axes=(axes, None, 0))(scene, jnp.asarray(times), state)
+
+
+@eqx.filter_jit
+def _simulated(axes, how, scene, starts, times):
+    one = lambda scene, start: simulate(scene, start, times, **how)
+    return jax.vmap(one, in_axes=axes)(scene, starts)
+
+
+def _processors() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _whole(name: str, value: Any, default: int) -> int:
+    if value is None:
+        return default
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        remedy = f"give one, or leave {name} out"
+        raise FieldError(
+            f"ensemble.{name}", value, "must be a whole number above zero", remedy
+        )
+    return int(value)

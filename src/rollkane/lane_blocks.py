@@ -1,0 +1,208 @@
+"""Blocks of an ensemble in the compiled loop over lanes."""
+
+import functools
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .coordinates import pack, unpack
+from .integration import tolerances
+from .members import Members
+from .native import LaneLoop, NoCompilerError, Queue, Results, Stops
+from .numberwise import NotElementwiseError
+from .rolling import rolling_derivative
+from .simulation import code_by_margin, corners, error_sizes, has_margin
+from .steps import first_step, landings
+from .tableau import weights_of
+
+# those whose steps are their tableau and nothing else
+_PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
+
+
+class NotForLanesError(Exception):
+    """Why the loop over lanes cannot do what is asked."""
+
+
+class LaneBlocks:
+    """Integrates blocks of members of one kind.
+
+    Attributes:
+        like: Shapes of one state.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        times: np.ndarray,
+        rtol: float | None,
+        atol: float | None,
+        solver: dfx.AbstractSolver,
+        max_steps: int,
+    ):
+        """Compile the loop for these members, unless it has been compiled before.
+
+        Args:
+            members: Of which every block is a part.
+            times: Output times [s].
+            rtol: Relative tolerance of a step [1], or None.
+            atol: Absolute tolerance of a step [unit of the state], or None.
+            solver: diffrax solver.
+            max_steps: Most steps of a member.
+
+        Raises:
+            NotForLanesError: with the reason.
+        """
+        if type(solver) not in _PLAIN:
+            known = ", ".join(kind.__name__ for kind in _PLAIN)
+            raise NotForLanesError(f"{type(solver).__name__} is none of {known}")
+        scene, start = members.example()
+        self.like = jax.tree.map(_shape_of, start)
+        self._axes, self._leaf_axes = members.axes(), members.scene_axes
+        self._times, self._max_steps = times, max_steps
+        self._rtol, self._atol = tolerances(rtol, atol, times.dtype)
+        self._by_size = atol is None
+        leaves, tree = jax.tree.flatten(scene)
+        own = tuple(axis is not None for axis in members.scene_axes)
+        self._has_margin = has_margin(scene)
+        self._stops = self._landings(scene, members)
+        kind = _Kind(
+            tree=tree,
+            leaves=tuple((jnp.shape(x), jnp.result_type(x)) for x in leaves),
+            own=own,
+            state=jax.tree.structure(self.like),
+            sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
+            backwards=bool(times[-1] < times[0]),
+        )
+        try:
+            self._loop = _compiled(kind, type(solver))
+        except NotElementwiseError as error:
+            raise NotForLanesError(
+                f"the right-hand side has {error}, which is more than arithmetic"
+            ) from error
+        except NoCompilerError as error:
+            raise NotForLanesError(str(error)) from error
+
+    def _landings(self, scene: Any, members: Members) -> Stops:
+        """Where all lanes stop; the way of time is forwards."""
+        times = self._times
+        kinks, jump = corners(scene)
+        if kinks is not None and jax.tree.leaves(self._axes[0].base.motion):
+            raise NotForLanesError("the times of corners differ from member to member")
+        found = landings(jnp.asarray(times), kinks, jump)
+        ends, starts = np.asarray(found.ends), np.asarray(found.starts)
+        finite = np.isfinite(ends)
+        ends, starts = ends[finite], starts[finite]
+        outputs = times[1:]
+        nearest = np.argmin(np.abs(ends[:, None] - outputs), axis=1)
+        near = 100 * np.finfo(times.dtype).eps * np.max(np.abs(times))
+        slots = np.where(np.abs(ends - outputs[nearest]) <= near, nearest, -1)
+        sense = -1.0 if times[-1] < times[0] else 1.0
+        return Stops(sense * ends, sense * starts, slots, len(outputs))
+
+    def run(self, scene: Any, starts: Any) -> tuple[Any, Results]:
+        """Integrate one block.
+
+        Args:
+            scene: Scenes of the block, batched where members differ.
+            starts: Their starts, likewise.
+
+        Returns:
+            States at the times, every array with (M, T) in front, and all results.
+        """
+        y0, sizes, first_steps = _prepared(self._axes[1], starts, self._span())
+        y0 = np.asarray(y0)
+        leaves = zip(jax.tree.leaves(scene), self._leaf_axes, strict=True)
+        own, shared = [np.zeros((len(y0), 0))], [np.zeros(0)]
+        for leaf, axis in leaves:
+            leaf = np.asarray(leaf)
+            if axis is None:
+                shared.append(leaf.reshape(-1))
+            else:
+                own.append(leaf.reshape(len(y0), -1))
+        scale = np.asarray(sizes) if self._by_size else np.ones_like(y0)
+        sense = -1.0 if self._times[-1] < self._times[0] else 1.0
+        eps = np.finfo(y0.dtype).eps
+        queue = Queue(
+            starts=y0,
+            atol=float(self._atol) * scale,
+            first_steps=np.asarray(first_steps),
+            own=np.concatenate(own, axis=1),
+            shared=np.concatenate(shared),
+            time=sense * float(self._times[0]),
+            rtol=float(self._rtol),
+            dtmin=float(10 * eps * max(abs(self._times[0]), abs(self._times[-1]))),
+            max_steps=self._max_steps,
+        )
+        results = self._loop.run(queue, self._stops)
+        y = np.concatenate([y0[:, None], results.y], axis=1)
+        results = results._replace(final_time=sense * results.final_time)
+        if self._has_margin:
+            results = results._replace(code=self._code(scene, results))
+        return self.states(y), results
+
+    def states(self, y: Any) -> Any:
+        """States of packed numbers; every array with the same axes in front."""
+        return unpack(y, self.like)
+
+    def _span(self) -> np.ndarray:
+        return np.abs(self._times[-1] - self._times[0])
+
+    def _code(self, scene: Any, results: Results) -> np.ndarray:
+        """The codes, once Painleve's paradox is told from other small steps."""
+        mapped = jax.vmap(code_by_margin, in_axes=(0, self._axes[0], 0, 0))
+        state = self.states(results.final_y)
+        return np.asarray(mapped(results.code, scene, results.final_time, state))
+
+
+class _Kind(NamedTuple):
+    """What a compiled loop depends on, apart from numbers."""
+
+    tree: Any
+    leaves: tuple
+    own: tuple[bool, ...]
+    state: Any
+    sizes: tuple
+    backwards: bool
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
+    like = jax.tree.unflatten(
+        kind.state, [jax.ShapeDtypeStruct(*size) for size in kind.sizes]
+    )
+
+    def derivative(t, y, *leaves):
+        scene = jax.tree.unflatten(kind.tree, leaves)
+        if kind.backwards:
+            return -pack(rolling_derivative(scene, -t, unpack(y, like)))
+        return pack(rolling_derivative(scene, t, unpack(y, like)))
+
+    return LaneLoop(
+        derivative,
+        jax.eval_shape(pack, like),
+        [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves],
+        list(kind.own),
+        weights_of(solver(), "the loop over lanes"),
+    )
+
+
+def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x))
+
+
+@eqx.filter_jit
+def _prepared(axes: Any, starts: Any, span: Any) -> tuple[Any, Any, Any]:
+    """Packed starts, sizes of their numbers, and first steps [s]."""
+
+    def one(start):
+        y = pack(start)
+        # a start that is not finite ends at once, by its code
+        y = jnp.where(jnp.all(jnp.isfinite(y)), y, 0.0)
+        step = first_step(start.angular_velocity, span)
+        return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
+
+    return jax.vmap(one, in_axes=(axes,))(starts)
