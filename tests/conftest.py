@@ -1,6 +1,7 @@
 """Strictness for every test: double precision, no silent broadcasting or promotion."""
 
 import itertools
+import os
 from pathlib import Path
 
 import jax
@@ -9,6 +10,11 @@ import pytest
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+# loops that tests compile are kept with the tests, not in the user's cache folder
+os.environ.setdefault(
+    "ROLLKANE_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "rollkane")
+)
 
 # Every compiled program takes about four mappings of memory, of which Linux gives a
 # process 65530; beyond, no shared library can be loaded any more.

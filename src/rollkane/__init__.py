@@ -22,7 +22,7 @@ _ROOMS = {
     "bodies": ("Body",),
     "checks": ("FieldError",),
     "coordinates": ("FlyingState", "SlidingState", "State"),
-    "ensemble": ("Ensemble", "ensemble", "ensemble_blocks"),
+    "ensembles": ("Ensemble", "ensemble", "ensemble_blocks"),
     "euler_lagrange": ("euler_lagrange_derivative",),
     "geometry": ("LocalGeometry",),
     "friction": ("CoulombFriction", "StribeckFriction", "ViscousFriction"),
@@ -74,9 +74,9 @@ if TYPE_CHECKING:
     from .coordinates import FlyingState as FlyingState
     from .coordinates import SlidingState as SlidingState
     from .coordinates import State as State
-    from .ensemble import Ensemble as Ensemble
-    from .ensemble import ensemble as ensemble
-    from .ensemble import ensemble_blocks as ensemble_blocks
+    from .ensembles import Ensemble as Ensemble
+    from .ensembles import ensemble as ensemble
+    from .ensembles import ensemble_blocks as ensemble_blocks
     from .euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative
     from .friction import CoulombFriction as CoulombFriction
     from .friction import StribeckFriction as StribeckFriction

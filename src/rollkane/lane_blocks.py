@@ -15,7 +15,7 @@ from .members import Members
 from .native import LaneLoop, NoCompilerError, Queue, Results, Stops
 from .numberwise import NotElementwiseError
 from .rolling import rolling_derivative
-from .simulation import code_by_margin, corners, error_sizes, has_margin
+from .rolling_run import code_by_margin, corners, error_sizes, has_margin
 from .steps import first_step, landings
 from .tableau import weights_of
 
@@ -42,6 +42,7 @@ class LaneBlocks:
         atol: float | None,
         solver: dfx.AbstractSolver,
         max_steps: int,
+        lanes: int | None = None,
     ):
         """Compile the loop for these members, unless it has been compiled before.
 
@@ -52,6 +53,7 @@ class LaneBlocks:
             atol: Absolute tolerance of a step [unit of the state], or None.
             solver: diffrax solver.
             max_steps: Most steps of a member.
+            lanes: How many advance together; by default as many as fit a vector.
 
         Raises:
             NotForLanesError: with the reason.
@@ -61,7 +63,7 @@ class LaneBlocks:
             raise NotForLanesError(f"{type(solver).__name__} is none of {known}")
         scene, start = members.example()
         self.like = jax.tree.map(_shape_of, start)
-        self._axes, self._leaf_axes = members.axes(), members.scene_axes
+        self._members = members
         self._times, self._max_steps = times, max_steps
         self._rtol, self._atol = tolerances(rtol, atol, times.dtype)
         self._by_size = atol is None
@@ -76,6 +78,7 @@ class LaneBlocks:
             state=jax.tree.structure(self.like),
             sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
             backwards=bool(times[-1] < times[0]),
+            lanes=lanes,
         )
         try:
             self._loop = _compiled(kind, type(solver))
@@ -90,7 +93,11 @@ class LaneBlocks:
         """Where all lanes stop; the way of time is forwards."""
         times = self._times
         kinks, jump = corners(scene)
-        if kinks is not None and jax.tree.leaves(self._axes[0].base.motion):
+        sense = -1.0 if times[-1] < times[0] else 1.0
+        if kinks is None:
+            ends = sense * times[1:]
+            return Stops(ends, ends, np.arange(len(ends)), len(ends))
+        if jax.tree.leaves(members.axes()[0].base.motion):
             raise NotForLanesError("the times of corners differ from member to member")
         found = landings(jnp.asarray(times), kinks, jump)
         ends, starts = np.asarray(found.ends), np.asarray(found.starts)
@@ -100,22 +107,22 @@ class LaneBlocks:
         nearest = np.argmin(np.abs(ends[:, None] - outputs), axis=1)
         near = 100 * np.finfo(times.dtype).eps * np.max(np.abs(times))
         slots = np.where(np.abs(ends - outputs[nearest]) <= near, nearest, -1)
-        sense = -1.0 if times[-1] < times[0] else 1.0
         return Stops(sense * ends, sense * starts, slots, len(outputs))
 
-    def run(self, scene: Any, starts: Any) -> tuple[Any, Results]:
+    def run(self, scene: Any, starts: Any, count: int) -> tuple[Any, Results]:
         """Integrate one block.
 
         Args:
             scene: Scenes of the block, batched where members differ.
             starts: Their starts, likewise.
+            count: How many there are.
 
         Returns:
             States at the times, every array with (M, T) in front, and all results.
         """
-        y0, sizes, first_steps = _prepared(self._axes[1], starts, self._span())
+        y0, sizes, first_steps = self._prepared(starts, count)
         y0 = np.asarray(y0)
-        leaves = zip(jax.tree.leaves(scene), self._leaf_axes, strict=True)
+        leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
         own, shared = [np.zeros((len(y0), 0))], [np.zeros(0)]
         for leaf, axis in leaves:
             leaf = np.asarray(leaf)
@@ -148,12 +155,17 @@ class LaneBlocks:
         """States of packed numbers; every array with the same axes in front."""
         return unpack(y, self.like)
 
-    def _span(self) -> np.ndarray:
-        return np.abs(self._times[-1] - self._times[0])
+    def _prepared(self, starts: Any, count: int) -> tuple[Any, Any, Any]:
+        """Packed starts, sizes of their numbers, and first steps [s]."""
+        span = np.abs(self._times[-1] - self._times[0])
+        if self._members.count == 1:
+            y, sizes, step = _prepared_one(jax.tree.map(lambda x: x[0], starts), span)
+            return np.asarray(y)[None], np.asarray(sizes)[None], np.asarray(step)[None]
+        return _prepared(self._members.axes()[1], count, starts, span)
 
     def _code(self, scene: Any, results: Results) -> np.ndarray:
         """The codes, once Painleve's paradox is told from other small steps."""
-        mapped = jax.vmap(code_by_margin, in_axes=(0, self._axes[0], 0, 0))
+        mapped = jax.vmap(code_by_margin, in_axes=(0, self._members.axes()[0], 0, 0))
         state = self.states(results.final_y)
         return np.asarray(mapped(results.code, scene, results.final_time, state))
 
@@ -167,6 +179,7 @@ class _Kind(NamedTuple):
     state: Any
     sizes: tuple
     backwards: bool
+    lanes: int | None
 
 
 @functools.lru_cache(maxsize=64)
@@ -187,6 +200,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves],
         list(kind.own),
         weights_of(solver(), "the loop over lanes"),
+        kind.lanes,
     )
 
 
@@ -194,15 +208,18 @@ def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x))
 
 
+def _readied(start: Any, span: Any) -> tuple[Any, Any, Any]:
+    """A packed start, sizes of its numbers, and the first step [s]."""
+    y = pack(start)
+    # a start that is not finite ends at once, by its code
+    y = jnp.where(jnp.all(jnp.isfinite(y)), y, 0.0)
+    step = first_step(start.angular_velocity, span)
+    return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
+
+
+_prepared_one = jax.jit(_readied)  # eqx.filter_jit would cost 0.1 ms a call more
+
+
 @eqx.filter_jit
-def _prepared(axes: Any, starts: Any, span: Any) -> tuple[Any, Any, Any]:
-    """Packed starts, sizes of their numbers, and first steps [s]."""
-
-    def one(start):
-        y = pack(start)
-        # a start that is not finite ends at once, by its code
-        y = jnp.where(jnp.all(jnp.isfinite(y)), y, 0.0)
-        step = first_step(start.angular_velocity, span)
-        return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
-
-    return jax.vmap(one, in_axes=(axes,))(starts)
+def _prepared(axes: Any, count: int, starts: Any, span: Any) -> tuple[Any, Any, Any]:
+    return jax.vmap(_readied, (axes, None), axis_size=count)(starts, span)

@@ -55,11 +55,17 @@ class Members(NamedTuple):
 
     def axes(self) -> tuple[Any, Any]:
         """For ``jax.vmap``: axes as trees like one scene and one start."""
-        scene, starts = jax.eval_shape(self.example)
         return (
-            jax.tree.unflatten(jax.tree.structure(scene), self.scene_axes),
-            jax.tree.unflatten(jax.tree.structure(starts), self.start_axes),
+            jax.tree.unflatten(_structure(self.scene), self.scene_axes),
+            jax.tree.unflatten(_structure(self.starts), self.start_axes),
         )
+
+
+def single(scene: Scene, start: State) -> Members:
+    """An ensemble of one."""
+    starts = jax.tree.map(lambda x: np.asarray(x)[None], start)
+    nothing: list[int | None] = [None for _ in jax.tree.leaves(scene)]
+    return Members(1, scene, starts, nothing, [0 for _ in jax.tree.leaves(start)])
 
 
 def members_of(
@@ -139,6 +145,14 @@ def _is_made(whole: Any) -> bool:
     return callable(whole) and not isinstance(whole, (Scene, State))
 
 
+def _structure(whole: Any) -> Any:
+    return jax.tree.structure(_one_made(whole) if _is_made(whole) else whole)
+
+
+def _one_made(function: Callable) -> Any:
+    return jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.int_))
+
+
 def _made(function: Callable) -> Callable:
     return eqx.filter_jit(jax.vmap(function))
 
@@ -153,7 +167,7 @@ def _sizes(whole: Any, axes: list) -> set[int]:
 def _axes_of(name: str, whole: Any, kind: type, given: Any) -> list[int | None]:
     field = f"ensemble.{name}"
     if _is_made(whole):
-        one = jax.eval_shape(whole, jax.ShapeDtypeStruct((), jnp.int_))
+        one = _one_made(whole)
         _check_kind(field, one, kind)
         return [0 for _ in jax.tree.leaves(one)]
     _check_kind(field, whole, kind)

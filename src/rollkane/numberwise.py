@@ -294,6 +294,7 @@ _MOVES: dict[str, Callable[[list[Numbers], Any], Numbers]] = {
     "slice": _sliced,
     "squeeze": lambda x, p: np.squeeze(x[0], tuple(p["dimensions"])),
     "stack": lambda x, p: np.stack(x, p["axis"]),
+    "tile": lambda x, p: np.tile(x[0], p["reps"]),
     "transpose": lambda x, p: x[0].transpose(p["permutation"]),
 }
 

@@ -23,15 +23,18 @@ from .integration import (
     tolerances,
     warn_single_precision,
 )
+from .lane_blocks import LaneBlocks, NotForLanesError
+from .members import single
 from .modes import Modes, of
-from .rolling import LEAST_MARGIN, contact_of, painleve_margin, rolling_derivative
+from .rolling import contact_of, rolling_derivative
+from .rolling_run import code_by_margin, corners, error_sizes, has_margin
 from .scene import Rolling, Scene, Slipping, under
-from .small_linear import norm
 from .state_conversion import to_pole_free, to_voronets
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
 _COORDINATES = ("pole-free", "voronets")
+_METHODS = ("diffrax", "native")
 
 
 def simulate(
@@ -51,6 +54,7 @@ def simulate(
     dt0: float | None = None,
     max_steps: int | None = None,
     progress_meter: dfx.AbstractProgressMeter | None = None,
+    method: str = "diffrax",
 ) -> Trajectory:
     """Motion of a scene from a start, at the asked times.
 
@@ -85,6 +89,11 @@ def simulate(
         max_steps: Most steps taken; by default 4194304, of which derivatives can
             follow 65536 (and are NaN beyond, never quietly wrong).
         progress_meter: diffrax progress meter.
+        method: ``"diffrax"``, or ``"native"``: the same steps in the compiled C loop
+            of :func:`rollkane.ensemble`, faster and without compiling by XLA, with
+            NumPy arrays for results; only ``rtol``, ``atol``, ``solver`` (Bosh3, Tsit5,
+            Dopri5, Dopri8) and ``max_steps`` can be chosen with it, and it cannot be
+            differentiated.
 
     Returns:
         The trajectory.
@@ -93,19 +102,22 @@ def simulate(
         FieldError: times that are not increasing, tolerances out of range, unknown
             names, a start that does not belong to the scene.
     """
-    _check_names(formulation, coordinates)
+    _check_names(formulation, coordinates, method)
     _check_law(scene, formulation, coordinates)
+    options = {
+        "formulation": formulation != "rolling",
+        "coordinates": coordinates != "pole-free",
+        "stepsize_controller": stepsize_controller is not None,
+        "adjoint": adjoint is not None,
+        "saveat": saveat is not None,
+        "dt0": dt0 is not None,
+        "progress_meter": progress_meter is not None,
+    }
+    if method == "native":
+        _refuse("method", options | {"modes": modes is not None})
+        return _simulate_natively(scene, start, times, rtol, atol, solver, max_steps)
     if modes is not None:
-        options = {
-            "formulation": formulation != "rolling",
-            "coordinates": coordinates != "pole-free",
-            "stepsize_controller": stepsize_controller is not None,
-            "adjoint": adjoint is not None,
-            "saveat": saveat is not None,
-            "dt0": dt0 is not None,
-            "progress_meter": progress_meter is not None,
-        }
-        _refuse_with_modes(options)
+        _refuse("modes", options)
         return _simulate_modes(
             scene, start, times, modes, rtol, atol, solver, max_steps
         )
@@ -142,13 +154,49 @@ def simulate(
     )
 
 
-def _refuse_with_modes(given: dict[str, bool]) -> None:
+def _refuse(having: str, given: dict[str, bool]) -> None:
     for name, is_given in given.items():
         if is_given:
-            remedy = f"leave {name} out, or modes"
-            raise FieldError(
-                f"simulate.{name}", "...", "cannot be chosen with modes", remedy
-            )
+            remedy = f"leave {name} out, or {having}"
+            problem = f"cannot be chosen with {having}"
+            raise FieldError(f"simulate.{name}", "...", problem, remedy)
+
+
+def _simulate_natively(
+    scene: Scene, start, times, rtol, atol, solver, max_steps
+) -> Trajectory:
+    """A run in the compiled loop, as an ensemble of one."""
+    field = "simulate.method"
+    if is_traced(scene, start, times, rtol, atol):
+        remedy = 'use method="diffrax" for derivatives and inside jit and vmap'
+        raise FieldError(field, "native", "has no traced arguments", remedy)
+    check_start(scene, start)
+    if not isinstance(start, State):
+        remedy = "give to_pole_free(scene, start)"
+        raise FieldError(field, "native", "has no Voronets coordinates", remedy)
+    dtype = start.angular_velocity.dtype
+    warn_single_precision(dtype)
+    times = np.asarray(checked_times(times, dtype))
+    check_span(scene, times)
+    rtol_known, _ = tolerances(rtol, atol, dtype)
+    most = UNRECORDED_STEPS if max_steps is None else max_steps
+    solver = default_solver(rtol_known) if solver is None else solver
+    members = single(scene, start)
+    try:
+        loop = LaneBlocks(members, times, rtol, atol, solver, most, lanes=1)
+    except NotForLanesError as error:
+        remedy = 'use method="diffrax"'
+        problem = f"cannot do this: {error}"
+        raise FieldError(field, "native", problem, remedy) from error
+    states, results = loop.run(*members.block(0, 1), 1)
+    # NumPy's arrays as they are: making JAX's of them would cost 1 ms
+    only = lambda tree: jax.tree.map(lambda x: x[0], tree)
+    parts: Any = (
+        *(times, only(states), scene, results.code[0], results.final_time[0]),
+        *(only(loop.states(results.final_y)), results.steps[0]),
+        results.rejected_steps[0],
+    )
+    return Trajectory(*parts)
 
 
 def _simulate_modes(
@@ -209,25 +257,6 @@ def _run_modes(scene, start, times, rtol, atol, by_size, solver, max_steps):
     return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, corners)
 
 
-def corners(scene: Scene) -> tuple[Any, bool]:
-    """Kinks of the base's motion [s], and whether its acceleration may jump there."""
-    motion = scene.base.motion
-    return (None, False) if motion is None else (motion.kinks, motion.jumps)
-
-
-def error_sizes(state: Any) -> Any:
-    """Sizes of a state's numbers, for the default absolute tolerance.
-
-    Those of the angular velocity are its length: of a body that spins fast no component
-    is known better than the rounding of the largest.
-    """
-    w = state.angular_velocity
-    fast = jnp.maximum(norm(w), 1.0)
-    fast = jnp.where(jnp.isfinite(fast), fast, 1.0)  # a bad start is refused elsewhere
-    ones = jax.tree.map(jnp.ones_like, state)
-    return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
-
-
 def _spin(state: AnyState) -> Float[Array, "3"]:
     return state.angular_velocity
 
@@ -251,21 +280,6 @@ def _code_at(outcome: Outcome, scene: Scene) -> Array:
     return outcome.code
 
 
-def has_margin(scene: Scene) -> bool:
-    """Whether something is proportional to the normal force."""
-    law = scene.contact
-    slips = isinstance(law, Slipping) and law.friction.needs_normal_force
-    return slips or any(load.needs_normal_force for load in scene.loads)
-
-
-@jax.jit
-def code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
-    """The code, PAINLEVE where a step was too small for want of a normal force."""
-    margin = painleve_margin(scene, t, state)
-    stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
-    return jnp.where(stopped & (margin < LEAST_MARGIN), Code.PAINLEVE, code)
-
-
 @jax.jit
 def _code_in_charts(code: Array, scene: Scene, t: Array, state) -> Array:
     contact = contact_of(scene, t, state)
@@ -275,10 +289,11 @@ def _code_in_charts(code: Array, scene: Scene, t: Array, state) -> Array:
     return jnp.where(at_edge, Code.CHART_EDGE, code)
 
 
-def _check_names(formulation: str, coordinates: str) -> None:
+def _check_names(formulation: str, coordinates: str, method: str) -> None:
     for field, value, known in (
         ("simulate.formulation", formulation, tuple(_PROBLEMS)),
         ("simulate.coordinates", coordinates, _COORDINATES),
+        ("simulate.method", method, _METHODS),
     ):
         if value not in known:
             raise FieldError(field, value, "is not known", f"use one of {known}")

@@ -12,6 +12,7 @@ LADDER = [
     "checks",
     "one_call",
     "small_linear",
+    "numberwise",
     "rotations",
     "user_function",
     "geometry",
@@ -43,16 +44,22 @@ LADDER = [
     "separation",
     "modes",
     "tableau",
+    "native",
     "mode_changes",
     "keeping",
     "steps",
     "differentiate",
     "mode_replay",
     "trajectory",
+    "rolling_run",
     "integration",
+    "members",
+    "lane_blocks",
     "hybrid",
     "simulation",
     "kane",
+    # 4 studies
+    "ensembles",
     # 5 outside
     "accelerograms",
     "whole_file",
@@ -69,6 +76,7 @@ LADDER = [
 ]
 INSIDE = {
     "surfaces": ["kinds", "catalogue", "given", "revolution"],
+    "native": ["compiler", "source", "lanes"],
     "kane": [
         "system",
         "equations",

@@ -73,6 +73,7 @@ def compiled(source: str) -> ctypes.CDLL:
     told = "\n".join((*compiler.command, compiler.machine, source))
     key = hashlib.sha256(told.encode())
     name = f"{key.hexdigest()[:32]}.so"
+    told = ""
     for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"rollkane-{_user()}"):
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -80,11 +81,11 @@ def compiled(source: str) -> ctypes.CDLL:
             if not target.exists():
                 _compile(compiler.command, source, target)
             return ctypes.CDLL(str(target))
-        except OSError:
-            continue  # cannot be written, or libraries may not be loaded from there
+        except OSError as error:  # it cannot be written, or nothing loaded from there
+            told = str(error)
     raise NoCompilerError(
         "compiled loops can be kept neither in the cache folder nor in the folder for "
-        "temporary files: set ROLLKANE_CACHE to a folder of yours, or choose "
+        f"temporary files ({told}): set ROLLKANE_CACHE to a folder of yours, or choose "
         'method="diffrax"'
     )
 

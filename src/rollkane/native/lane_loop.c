@@ -46,9 +46,9 @@ INLINE int any(mask m) {
 }
 
 #if REAL_IS_DOUBLE
-#define C(f) f
+#define C(name) name
 #else
-#define C(f) f##f
+#define C(name) name##f
 #endif
 #define ONE(name, f)                                                                   \
     INLINE real name##_one(real x) { return C(f)(x); }                                 \

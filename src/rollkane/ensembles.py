@@ -26,7 +26,7 @@ from .trajectory import Code, reason_of
 # what a block's states may take [bytes]
 _ROOM = 2**25
 _MOST_IN_BLOCK = 8192
-_METHODS = ("auto", "lanes", "diffrax")
+_METHODS = ("auto", "native", "diffrax")
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
 
@@ -45,8 +45,8 @@ class Ensemble(eqx.Module):
         steps: Accepted steps, shape (N,).
         rejected_steps: Rejected steps, shape (N,).
         first: Number of the first member: of a block, its place in the ensemble.
-        method: ``"lanes"`` or ``"diffrax"``: which integrated.
-        why: Why it was not the lanes; empty if it was, or if diffrax was asked for.
+        method: ``"native"`` or ``"diffrax"``: which integrated.
+        why: Why it was not the native loop; empty if it was, or if diffrax was asked.
     """
 
     time: Float[Array, " T"]
@@ -95,7 +95,7 @@ def ensemble(
     The steps are those of :func:`rollkane.simulate`; a member that cannot go on ends
     with a code of its own and disturbs no other. On a CPU the right-hand side is
     compiled together with a loop in which every lane of the processor's vectors
-    follows its own motion at its own step size (method ``"lanes"``); what that loop
+    follows its own motion at its own step size (method ``"native"``); what that loop
     does not have (modes, other solvers, records, a machine without a C compiler, a
     GPU, derivatives) runs as ``simulate`` under ``jax.vmap`` (``"diffrax"``).
 
@@ -117,7 +117,7 @@ def ensemble(
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
         modes: How runs may change between rolling, slipping and flight.
         max_steps: Most steps of a member; 4194304 by default.
-        method: ``"lanes"``, ``"diffrax"``, or ``"auto"``: lanes where they can.
+        method: ``"native"``, ``"diffrax"``, or ``"auto"``: native where it can.
         block: Members that are worked on together; by default as many as keep outputs
             of 32 MiB, at most 8192.
         workers: Threads; as many as processors by default.
@@ -229,7 +229,7 @@ class _Run:
         try:
             self.lanes = self._by_lanes()
         except NotForLanesError as error:
-            if method == "lanes":
+            if method == "native":
                 remedy = 'choose method="diffrax" or "auto"'
                 raise FieldError(
                     "ensemble.method", method, str(error), remedy
@@ -302,7 +302,7 @@ class _Run:
 
     def _in_lanes(self, scene, starts, first: int, count: int) -> Ensemble:
         assert self.lanes is not None
-        state, results = self.lanes.run(scene, starts)
+        state, results = self.lanes.run(scene, starts, self.block)
         return self._ensemble(
             first,
             count,
@@ -339,7 +339,7 @@ class _Run:
         if not self.traced:
             # without what filled the block up
             parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
-        method = "diffrax" if self.lanes is None else "lanes"
+        method = "diffrax" if self.lanes is None else "native"
         times: Any = self.times
         return Ensemble(times, *parts, first=first, method=method, why=self.why)
 

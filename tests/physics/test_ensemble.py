@@ -1,0 +1,273 @@
+"""Ensembles: each member is what simulate gives, by either method."""
+
+import threading
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.observables import energy
+
+from .. import problems
+
+COUNT = 21
+TIMES = np.array([0.0, 0.1, 0.25, 0.3])
+
+
+def discs(count=COUNT):
+    """A disc, started with spins from slow to fast: uneven lanes."""
+    scene, start = problems.disc(6.0)
+    spins = jnp.linspace(1.0, 12.0, count)
+    spin = lambda w: start.angular_velocity.at[2].set(w)
+    make = lambda w: eqx.tree_at(lambda s: s.angular_velocity, start, spin(w))
+    return scene, jax.vmap(make)(spins)
+
+
+def member(tree, i):
+    return jax.tree.map(lambda x: x[i], tree)
+
+
+def agree(a, b, tolerance):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
+
+
+@pytest.fixture(scope="module")
+def runs():
+    """The same ensemble by both methods, in blocks that do not divide it."""
+    scene, starts = discs()
+    how = {"solver": dfx.Dopri5(), "rtol": 1e-8, "block": 8}
+    native = rk.ensemble(scene, starts, TIMES, method="native", **how)
+    return native, rk.ensemble(scene, starts, TIMES, method="diffrax", **how)
+
+
+def test_both_methods_take_the_same_steps(runs):
+    """To rounding: 1e-16 a step, some 100 steps, motions that part tenfold."""
+    native, slow = runs
+    assert (native.method, slow.method) == ("native", "diffrax")
+    agree(native.state, slow.state, 1e-12)
+    agree(native.final_state, slow.final_state, 1e-12)
+    for name in ("code", "steps", "rejected_steps", "final_time"):
+        np.testing.assert_array_equal(getattr(native, name), getattr(slow, name))
+    assert native.steps.max() > 1.5 * native.steps.min()
+    assert native.succeeded.all()
+    assert native.reasons == {"completed": COUNT}
+
+
+def test_a_member_is_what_simulate_gives(runs):
+    scene, starts = discs()
+    alone = rk.simulate(
+        scene, member(starts, 17), TIMES, rtol=1e-8, solver=dfx.Dopri5()
+    )
+    agree(member(runs[0].state, 17), alone.state, 1e-12)
+    assert runs[0].steps[17] == alone.steps
+
+
+def test_simulate_natively():
+    scene, starts = discs()
+    start = member(starts, 3)
+    both = [
+        rk.simulate(scene, start, TIMES, solver=dfx.Tsit5(), method=method)
+        for method in ("native", "diffrax")
+    ]
+    agree(both[0].state, both[1].state, 1e-12)
+    agree(both[0].position, both[1].position, 1e-12)
+    assert int(both[0].steps) == int(both[1].steps)
+
+
+def stones(depths):
+    """A scene of every mass and depth: a body on a base that goes up and down."""
+
+    def make(mass, depth):
+        sway = lambda t, p: jnp.stack([p * jnp.sin(3.0 * t), 0.0 * t, 0.1 * p * t])
+        inertia = mass * jnp.diag(jnp.array([1e-3, 1.2e-3, 1.5e-3]))
+        body = rk.Body(mass, inertia, rk.Ellipsoid([0.1, 0.08, 0.06]))
+        moving = rk.BaseMotion(sway, parameters=depth, kinks=[0.12])
+        return rk.Scene(body, rk.Base(motion=moving))
+
+    one = make(1.0, 0.05)
+    spin = jnp.array([0.3, 0.2, 4.0])
+    start = rk.place(one, [1.0, 0.0, 0.0, 0.0], spin, [0.0, 0.0, 0.0])
+    made = jax.vmap(make, in_axes=(0, None if depths.ndim == 0 else 0))
+    return made(jnp.linspace(0.5, 2.0, 9), depths), start
+
+
+def test_scenes_that_differ_on_a_moving_base():
+    """One start, masses of their own; a kink that is no output."""
+    scenes, start = stones(jnp.asarray(0.05))
+    shared = eqx.tree_at(lambda s: s.base.motion, scenes, member(scenes.base.motion, 0))
+    how = {"solver": dfx.Tsit5(), "rtol": 1e-9}
+    native = rk.ensemble(shared, start, TIMES, method="native", **how)
+    slow = rk.ensemble(shared, start, TIMES, method="diffrax", **how)
+    agree(native.state, slow.state, 1e-12)
+    np.testing.assert_array_equal(native.steps, slow.steps)
+    ends = native.final_state.angular_velocity
+    assert np.ptp(ends, axis=0).max() < 1e-12  # of one shape: their mass does not count
+
+
+def test_parameters_of_functions_that_differ():
+    """Nothing says how many axes they have: the user does."""
+    scenes, start = stones(jnp.linspace(0.0, 0.2, 9))
+    scenes = eqx.tree_at(lambda s: s.base.motion.kinks, scenes, None)
+    with pytest.raises(rk.FieldError, match="scene_axes="):
+        rk.ensemble(scenes, start, TIMES)
+    native = rk.ensemble(scenes, start, TIMES, scene_axes=0, method="native")
+    alone = rk.simulate(member(scenes, 7), start, TIMES)
+    agree(member(native.state, 7), alone.state, 1e-9)
+    still = rk.simulate(member(scenes, 0), start, TIMES).state.angular_velocity
+    assert np.abs(native.state.angular_velocity[7] - still).max() > 1e-3
+
+
+def test_backwards():
+    """There and back again: the error of two runs at 1e-9."""
+    scene, starts = discs(3)
+    there = rk.ensemble(scene, starts, [0.0, 0.3])
+    back = rk.ensemble(scene, there.final_state, [0.3, 0.0], method="native")
+    agree(back.final_state.angular_velocity, starts.angular_velocity, 1e-7)
+    np.testing.assert_array_equal(back.final_time, 0.0)
+
+
+def test_a_lane_fails_alone(runs):
+    scene, starts = discs()
+    spoilt = starts.angular_velocity.at[5, 1].set(jnp.nan)
+    starts = eqx.tree_at(lambda s: s.angular_velocity, starts, spoilt)
+    how = {"solver": dfx.Dopri5(), "rtol": 1e-8, "method": "native"}
+    result = rk.ensemble(scene, starts, TIMES, **how)
+    assert result.code[5] == rk.Code.BAD_START
+    assert np.isnan(result.state.orientation[5, 1:]).all()
+    others = np.arange(COUNT) != 5
+    agree(member(result.state, others), member(runs[0].state, others), 1e-15)
+    few = rk.ensemble(scene, starts, TIMES, max_steps=5, **how)
+    assert set(few.code[others]) == {rk.Code.MAX_STEPS}
+    assert "raise max_steps" in next(iter(few.reasons))
+
+
+def test_observables_are_kept_instead_of_states(runs):
+    scene, starts = discs()
+    seen = rk.ensemble(
+        scene, starts, TIMES, observe=energy, solver=dfx.Dopri5(), rtol=1e-8, block=8
+    )
+    assert seen.state is None
+    assert seen.observed.shape == (COUNT, 4)
+    # kept by the motion to its tolerance over some 100 steps
+    spread = np.ptp(seen.observed, axis=1)
+    assert (spread < 1e-6 * seen.observed[:, 0]).all()
+    one = energy(scene, jnp.asarray(0.25), member(member(runs[0].state, 4), 2))
+    np.testing.assert_allclose(seen.observed[4, 2], one, rtol=1e-14)
+
+
+def test_members_that_are_made_when_needed(runs):
+    """Of their numbers alone; and no more blocks are made than are under way."""
+    scene, starts = discs()
+    table = starts.angular_velocity
+    start = member(starts, 0)
+    made, lock = [], threading.Lock()
+
+    def make(i):
+        return eqx.tree_at(lambda s: s.angular_velocity, start, table[i])
+
+    how = {"solver": dfx.Dopri5(), "rtol": 1e-8, "block": 4, "workers": 2}
+    blocks = rk.ensemble_blocks(scene, make, TIMES, count=COUNT, **how)
+    whole = []
+    for block in blocks:
+        with lock:
+            made.append(block.first)
+        whole.append(block.state.angular_velocity)
+    assert made == [0, 4, 8, 12, 16, 20]
+    assert whole[-1].shape == (1, 4, 3)
+    np.testing.assert_allclose(
+        np.concatenate(whole), runs[0].state.angular_velocity, rtol=1e-13, atol=1e-13
+    )
+
+
+def test_derivatives_go_through_the_ensemble():
+    """Those of each member alone."""
+    scene, starts = discs(3)
+
+    def end(radius):
+        wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
+        return rk.ensemble(wider, starts, [0.0, 0.1]).state.angular_velocity[1, -1, 0]
+
+    def alone(radius):
+        wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
+        run = rk.simulate(wider, member(starts, 1), [0.0, 0.1])
+        return run.state.angular_velocity[-1, 0]
+
+    radius = jnp.asarray(0.25)
+    moved = [jax.jvp(f, (radius,), (jnp.ones(()),))[1] for f in (end, alone)]
+    np.testing.assert_allclose(*moved, rtol=1e-11)
+
+
+def test_what_the_native_loop_has_not_goes_by_diffrax():
+    """And says why, or refuses where the loop was asked for."""
+    scene, starts = discs(2)
+    run = rk.ensemble(scene, starts, [0.0, 0.02], modes=rk.Modes())
+    assert (run.method, run.why) == (
+        "diffrax",
+        "runs with modes need the loop of simulate",
+    )
+    with pytest.raises(rk.FieldError, match="Kvaerno5 is none of Bosh3"):
+        rk.ensemble(scene, starts, TIMES, solver=dfx.Kvaerno5(), method="native")
+
+
+REFUSED = {
+    "no members": (
+        lambda s, x: rk.ensemble(s, member(x, 0), TIMES),
+        "ensemble.starts: has no axis of members",
+    ),
+    "counts": (
+        lambda s, x: rk.ensemble(s, x, TIMES, count=4),
+        r"has members of several counts, got \[3, 4\]",
+    ),
+    "method": (
+        lambda s, x: rk.ensemble(s, x, TIMES, method="fast"),
+        "ensemble.method: is not known, got 'fast'; use one of",
+    ),
+    "times": (
+        lambda s, x: rk.ensemble(s, x, [0.0, 1.0, 0.5]),
+        "simulate.times: must be finite and strictly",
+    ),
+    "another scene's starts": (
+        lambda s, x: rk.ensemble(rk.Scene(s.body, rk.Base(rk.Sphere(1.0))), x, TIMES),
+        "simulate.start.contact_on_base",
+    ),
+    "no start": (
+        lambda s, x: rk.ensemble(s, x.orientation, TIMES),
+        "ensemble.starts: is no State",
+    ),
+    "a shape": (
+        lambda s, x: rk.ensemble(s, jax.tree.map(lambda y: y[None], x), TIMES),
+        r"ensemble.starts.orientation: must have 1 axes, or one more",
+    ),
+    "block": (
+        lambda s, x: rk.ensemble(s, x, TIMES, block=0),
+        "ensemble.block: must be a whole number above zero, got 0",
+    ),
+    "an option of simulate": (
+        lambda s, x: rk.simulate(s, member(x, 0), TIMES, method="native", dt0=0.1),
+        "simulate.dt0: cannot be chosen with method",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED.values(), ids=REFUSED)
+def test_bad_input_is_refused(case):
+    run, message = case
+    scene, starts = discs(3)
+    with pytest.raises(rk.FieldError, match=message):
+        run(scene, starts)
+
+
+def test_traced_arguments_do_not_stream():
+    scene, starts = discs(2)
+
+    @jax.jit
+    def stream(starts):
+        return list(rk.ensemble_blocks(scene, starts, TIMES))
+
+    with pytest.raises(rk.FieldError, match="cannot stream"):
+        stream(starts)

@@ -1,0 +1,203 @@
+"""The loop in C: what it can compute, and what it refuses."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rollkane.native import LaneLoop, NoCompilerError, Queue, Stops
+from rollkane.native import compiler as compilers
+from rollkane.numberwise import NotElementwiseError
+from rollkane.tableau import weights_of
+
+# a bounded rate from each operation that the C program knows, each of one number
+OPERATIONS = [
+    lambda y, t: jnp.sin(y) * jnp.cos(t),
+    lambda y, t: jnp.tan(0.5 * jnp.tanh(y)),
+    lambda y, t: jnp.exp(-jnp.abs(y)) + jnp.expm1(-jnp.abs(y)),
+    lambda y, t: jnp.log(1.0 + y * y) - jnp.log1p(y * y) / (2.0 + y**2) ** 3,
+    lambda y, t: (1.0 + y * y) ** -2 + jnp.sqrt(1.0 + y * y),
+    lambda y, t: jax.lax.rsqrt(1.0 + y * y) * jnp.sign(y - 0.1),
+    lambda y, t: jnp.arctan2(y, 1.0 + t) + jnp.arctan(y),
+    lambda y, t: jnp.arcsin(0.5 * jnp.tanh(y)) - jnp.arccos(0.3 * jnp.tanh(y)),
+    lambda y, t: jnp.sinh(0.1 * y) + jnp.cosh(0.1 * y) + jnp.arcsinh(y),
+    lambda y, t: jnp.power(1.5 + jnp.tanh(y), 0.7) + jnp.cbrt(1.0 + y * y),
+    lambda y, t: jnp.where((y > 0.2) & ~(t > 0.5), 0.4, -0.3 * y),
+    lambda y, t: jnp.where((y <= 0.2) | (t >= 0.5), y, jnp.minimum(y, 0.1)),
+    lambda y, t: jnp.maximum(y, t) - jnp.clip(y, -0.2, 0.3),
+    lambda y, t: (y < t).astype(y.dtype) - jnp.isfinite(y).astype(y.dtype),
+    lambda y, t: jnp.floor(3.0 * jnp.sin(t)) + jnp.ceil(t) + jax.nn.sigmoid(y),
+    lambda y, t: jnp.exp2(-y * y) + (y != 0.0).astype(y.dtype) + (-y),
+    lambda y, t: jnp.arctanh(0.3 * jnp.cos(y)) + jnp.arccosh(2.0 + y * y),
+    lambda y, t: jax.lax.rem(y + 5.0, jnp.full_like(y, 0.7)) - jax.lax.stop_gradient(y),
+]
+
+
+def rates(t, y, shared, own):
+    """Every operation once, and what arrays of any shape need."""
+    each = jnp.stack([f(y[i], t) for i, f in enumerate(OPERATIONS)])
+    turned = jnp.flip(jnp.concatenate([each[1:], each[:1]]))
+    mixed = (shared @ jnp.reshape(each, (2, 9)))[0] + jnp.sum(shared, axis=1)[1]
+    spread = jnp.max(jnp.broadcast_to(own[:, None], (2, 3)), axis=0)
+    padded = jnp.pad(jnp.transpose(mixed.reshape(3, 3)).reshape(9), (0, 9))
+    return 0.3 * turned + 0.1 * padded + 0.1 * jnp.resize(spread, 18)
+
+
+def shape(*axes, dtype=float):
+    return jax.ShapeDtypeStruct(axes, dtype)
+
+
+def loop_of(derivative=rates, dtype=np.float64, lanes=None, solver=None):
+    leaves = [shape(2, 2, dtype=dtype), shape(2, dtype=dtype)]
+    weights = weights_of(solver or dfx.Tsit5(), "a test")
+    y = shape(len(OPERATIONS), dtype=dtype)
+    return LaneLoop(derivative, y, leaves, [False, True], weights, lanes)
+
+
+def queue_of(count, dtype=np.float64, **changes):
+    random = np.random.default_rng(4)
+    n = len(OPERATIONS)
+    queue = Queue(
+        starts=random.uniform(-0.5, 0.5, (count, n)).astype(dtype),
+        atol=np.full((count, n), 1e-9, dtype),
+        first_steps=np.full(count, 1e-3, dtype),
+        own=random.uniform(-1.0, 1.0, (count, 2)).astype(dtype),
+        shared=np.array([0.3, -0.2, 0.1, 0.5], dtype),
+        time=0.0,
+        rtol=1e-7,
+        dtmin=1e-14,
+        max_steps=10_000,
+    )
+    return queue._replace(**changes)
+
+
+STOPS = Stops(np.array([0.4, 1.0]), np.array([0.4, 1.0]), np.array([0, 1]), 2)
+
+
+def step_by_jax(queue, i, derivative=rates):
+    """One step of one motion, written out."""
+    weights = weights_of(dfx.Tsit5(), "a test")
+    shared, own = queue.shared.reshape(2, 2), queue.own[i]
+    h, y = queue.first_steps[i], queue.starts[i]
+    f = lambda node, y: np.asarray(derivative(node * h, y, shared, own))
+    stages = [f(0.0, y)]
+    for row, node in zip(weights.rows, weights.nodes, strict=True):
+        at = y + h * sum(w * k for w, k in zip(row, stages, strict=True))
+        stages.append(f(node, at))
+    return at
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_every_operation_gives_what_jax_gives(dtype):
+    """One step of 0.1 s, whatever its error: equal to some tens of roundings."""
+    queue = queue_of(64, dtype)
+    tolerant = np.full_like(queue.atol, 1e9)
+    steps = np.full_like(queue.first_steps, 0.1)
+    queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
+    results = loop_of(dtype=dtype).run(queue, STOPS)
+    assert results.final_y.dtype == dtype
+    by_jax = jax.jit(rates)
+    ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    close = 50 * np.finfo(dtype).eps
+    np.testing.assert_allclose(results.final_y, ends, rtol=0, atol=close)
+    assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4  # the rates do differ
+
+
+def test_outputs_are_landed_on():
+    results = loop_of().run(queue_of(3), STOPS)
+    np.testing.assert_array_equal(results.y[:, 1], results.final_y)
+    assert np.isfinite(results.y).all()
+    earlier = Stops(np.array([0.4]), np.array([0.4]), np.array([0]), 1)
+    end = loop_of().run(queue_of(3), earlier).final_y
+    # other steps on the way: rtol 1e-7, and rates that jump
+    np.testing.assert_allclose(results.y[:, 0], end, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("lanes", [1, 2, 8])
+def test_lanes_do_not_know_of_each_other(lanes):
+    queue = queue_of(5)
+    together = loop_of(lanes=lanes).run(queue, STOPS)
+    alone = loop_of(lanes=lanes).run(
+        queue._replace(
+            starts=queue.starts[3:4],
+            own=queue.own[3:4],
+            atol=queue.atol[3:4],
+            first_steps=queue.first_steps[3:4],
+        ),
+        STOPS,
+    )
+    np.testing.assert_array_equal(together.y[3], alone.y[0])
+    assert together.steps[3] == alone.steps[0]
+
+
+def test_no_lane_waits_for_another():
+    """Motions of 1 to 50 times the steps: idle lanes are those of the queue's end."""
+    decay = lambda t, y, shared, own: -jnp.exp(own[0]) * (y - jnp.sin(own[0] * t))
+    own = np.linspace(0.0, 4.0, 400)[:, None] * np.ones(2)
+    loop = loop_of(decay)
+    results = loop.run(queue_of(400, own=own), STOPS)
+    tried = results.steps + results.rejected_steps
+    assert tried.max() > 4 * tried.min()
+    # at the end each lane may wait for the longest motion
+    assert results.turns * loop.lanes <= tried.sum() + loop.lanes * tried.max()
+
+
+def test_codes():
+    from rollkane import Code
+
+    nan = queue_of(3)
+    nan.starts[1] = np.nan
+    results = loop_of().run(nan, STOPS)
+    assert results.code.tolist() == [0, Code.BAD_START, 0]
+    assert np.isnan(results.y[1]).all()
+    few = loop_of().run(queue_of(3, max_steps=4), STOPS)
+    assert few.code.tolist() == [Code.MAX_STEPS] * 3
+    assert (few.steps + few.rejected_steps == 4).all()
+    blowing = lambda t, y, shared, own: y * y
+    up = loop_of(blowing).run(queue_of(2, starts=np.full((2, 18), 2.0)), STOPS)
+    assert up.code.tolist() == [Code.STEP_TOO_SMALL] * 2
+    np.testing.assert_allclose(up.final_time, 0.5, rtol=1e-6)  # 1 / (1/2 - t)
+
+
+@pytest.mark.parametrize(
+    ("derivative", "says"),
+    [
+        (lambda t, y, a, b: jnp.sort(y), "sort"),
+        (lambda t, y, a, b: jax.lax.scan(lambda c, _: (c, c), y, None, 2)[0], "scan"),
+        (lambda t, y, a, b: y * jnp.argmax(y).astype(y.dtype), "argmax"),
+    ],
+    ids=["sort", "scan", "argmax"],
+)
+def test_more_than_arithmetic_is_refused(derivative, says):
+    with pytest.raises(NotElementwiseError, match=says):
+        loop_of(derivative)
+
+
+def test_without_a_compiler(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("CC", "no-such-compiler")
+    compilers._compiler.cache_clear()
+    with pytest.raises(
+        NoCompilerError, match='install one, or choose method="diffrax"'
+    ):
+        loop_of()
+    monkeypatch.undo()
+    compilers._compiler.cache_clear()
+    loop_of()
+
+
+def test_what_was_compiled_is_kept(monkeypatch, tmp_path):
+    monkeypatch.setenv("ROLLKANE_CACHE", str(tmp_path))
+    first = loop_of()
+    (kept,) = tmp_path.iterdir()
+    when = kept.stat().st_mtime_ns
+    assert loop_of().source == first.source
+    assert [x.stat().st_mtime_ns for x in tmp_path.iterdir()] == [when]
+
+
+def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
+    """Then the folder for temporary files serves."""
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ROLLKANE_CACHE", str(tmp_path / "file"))
+    assert loop_of().lanes == 8
