@@ -1,6 +1,7 @@
 """Members of an ensemble: what they share, and what each has of its own."""
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -153,6 +154,7 @@ def _one_made(function: Callable) -> Any:
     return jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.int_))
 
 
+@functools.lru_cache(maxsize=16)  # every block asks for it
 def _made(function: Callable) -> Callable:
     return eqx.filter_jit(jax.vmap(function))
 
