@@ -30,6 +30,7 @@ _ROOMS = {
     "loads": ("Drag", "Force", "Gravity", "Potential", "Torque"),
     "modes": ("Mode", "Modes", "Switches"),
     "placement": ("place",),
+    "precision": ("WorkPrecision", "recommend", "work_precision"),
     "quasi_velocities": ("PaperQuantities", "paper_quantities"),
     "recorded_motion": ("RecordedMotion",),
     "rolling": ("contact_of", "rolling_derivative"),
@@ -52,6 +53,7 @@ _ROOMS = {
         "Sphere",
         "Torus",
     ),
+    "timed_runs": ("Measured", "Setting"),
     "trajectory": ("Code", "Trajectory"),
     "voronets": ("VoronetsState",),
 }
@@ -93,6 +95,9 @@ if TYPE_CHECKING:
     from .modes import Modes as Modes
     from .modes import Switches as Switches
     from .placement import place as place
+    from .precision import WorkPrecision as WorkPrecision
+    from .precision import recommend as recommend
+    from .precision import work_precision as work_precision
     from .quasi_velocities import PaperQuantities as PaperQuantities
     from .quasi_velocities import paper_quantities as paper_quantities
     from .recorded_motion import RecordedMotion as RecordedMotion
@@ -123,6 +128,8 @@ if TYPE_CHECKING:
     from .surfaces import Revolution as Revolution
     from .surfaces import Sphere as Sphere
     from .surfaces import Torus as Torus
+    from .timed_runs import Measured as Measured
+    from .timed_runs import Setting as Setting
     from .trajectory import Code as Code
     from .trajectory import Trajectory as Trajectory
     from .voronets import VoronetsState as VoronetsState

@@ -10,11 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base_motion import BaseKinematics, Spin
+from .base_motion import BaseKinematics
 from .checks import FieldError
-from .loads import Potential
-from .mass_matrix import field_of, shares
-from .observables import energy, moving_energy
+from .mass_matrix import shares
+from .observables import energy, kept_energy, moving_energy
 from .rolling import contact_force, contact_of
 from .rotations import in_one_sense, quaternion_of
 from .scene import Scene
@@ -184,7 +183,7 @@ def history(trajectory: Trajectory) -> History:
         carried=carried.reshape(len(rows), -1, 3),
         masses=_masses(scene),
         base_moves=scene.base.motion is not None,
-        kept=_kept(scene),
+        kept=kept_energy(scene),
         rounding=float(jnp.finfo(trajectory.time.dtype).eps),
     )
 
@@ -271,21 +270,3 @@ def _masses(scene: Scene) -> np.ndarray:
         mass = np.asarray(own.mass, dtype=float)
         masses.append(np.full(6, mass / 6) if isinstance(own, SupportedBody) else mass)
     return np.concatenate([np.zeros(0), *masses])
-
-
-def _kept(scene: Scene) -> str:
-    """Which energy a motion of the scene has to keep; "" for none."""
-    motion, field = scene.base.motion, field_of(scene.loads)
-    if scene.does_work:
-        return ""
-    if motion is None:
-        return "energy"
-    fixed_in_space = any(isinstance(load, Potential) for load in scene.loads)
-    if not isinstance(motion, Spin) or fixed_in_space:
-        return ""
-    if field is not None:
-        axis = np.asarray(motion.at(jnp.zeros((), field.dtype)).rotation)[:, 2]
-        field = np.asarray(field)
-        along = np.linalg.norm(np.cross(axis, field)) <= 1e-6 * np.linalg.norm(field)
-        return "moving energy" if along else ""
-    return "moving energy"

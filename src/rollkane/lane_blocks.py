@@ -73,7 +73,7 @@ class LaneBlocks:
         self._stops = self._landings(scene, members)
         kind = _Kind(
             tree=tree,
-            leaves=tuple((jnp.shape(x), jnp.result_type(x)) for x in leaves),
+            leaves=tuple((x.shape, x.dtype) for x in leaves),
             own=own,
             state=jax.tree.structure(self.like),
             sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
@@ -205,7 +205,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
 
 
 def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
-    return jax.ShapeDtypeStruct(jnp.shape(x), jnp.result_type(x))
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
 def _readied(start: Any, span: Any) -> tuple[Any, Any, Any]:

@@ -36,7 +36,8 @@ class Members(NamedTuple):
 
     def example(self) -> tuple[Scene, State]:
         """The scene and the start of the first member."""
-        return self.mapped(lambda x, a: x if a is None else x[0], *self.block(0, 1))
+        first = lambda x, axis: x if axis is None else x[0]
+        return self.mapped(first, *self.block(0, 1))
 
     def mapped(
         self, function: Callable, scene: Scene, starts: State

@@ -7,11 +7,14 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .base_motion import Spin
 from .bodies import inertia_about
 from .contact import Contact
 from .contact_laws import accelerations, momentum_rate
+from .loads import Potential
 from .mass_matrix import assemble, field_of, shares, times_lower
 from .rolling import contact_of, press_and_pull
 from .scene import Scene
@@ -218,3 +221,21 @@ def friction_ratio(
     """Friction coefficient that rolling needs, |tangential| / N [1]."""
     press, pull = press_and_pull(scene, t, state)
     return norm(pull) / press
+
+
+def kept_energy(scene: Scene) -> str:
+    """Which energy a motion has to keep: "energy", "moving energy", or "" for none."""
+    motion, field = scene.base.motion, field_of(scene.loads)
+    if scene.does_work:
+        return ""
+    if motion is None:
+        return "energy"
+    fixed_in_space = any(isinstance(load, Potential) for load in scene.loads)
+    if not isinstance(motion, Spin) or fixed_in_space:
+        return ""
+    if field is not None:
+        axis = np.asarray(motion.at(jnp.zeros((), field.dtype)).rotation)[:, 2]
+        field = np.asarray(field)
+        along = np.linalg.norm(np.cross(axis, field)) <= 1e-6 * np.linalg.norm(field)
+        return "moving energy" if along else ""
+    return "moving energy"

@@ -60,6 +60,8 @@ LADDER = [
     "kane",
     # 4 studies
     "ensembles",
+    "timed_runs",
+    "precision",
     # 5 outside
     "accelerograms",
     "whole_file",
@@ -67,6 +69,7 @@ LADDER = [
     "mesh",
     "plot_style",
     "plot_path",
+    "plot_precision",
     "plotting",
     "viewer",
     "export",
@@ -106,6 +109,7 @@ INSIDE = {
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}
 # A trajectory's methods hand it to the floor above, when and only when they are called.
 UPWARDS = {
+    ("precision", "plot_precision"),
     ("trajectory", "export"),
     ("trajectory", "plotting"),
     ("trajectory", "viewer"),

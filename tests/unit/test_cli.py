@@ -270,3 +270,30 @@ def test_a_disk_that_refuses(folder, monkeypatch):
     assert result.exit_code == 1
     assert "cannot write a.nc: no space left" in result.output
     assert os.listdir(folder) == ["ball.toml"]
+
+
+def test_work_precision(folder):
+    """A table, a recommendation, and the files that were asked for."""
+    options = ["--horizon", "0.5", "--solver", "Dopri5", "--method", "native"]
+    options += ["--rtol", "1e-6", "--rtol", "1e-9", "--repeats", "1"]
+    options += ["--json", "work.json", "--plot", "work.png", "--quiet"]
+    done = rollkane_with("work-precision", "ball.toml", *options)
+    assert done.exit_code == 0, done.output
+    assert done.output.startswith("a ball on a ball: 0.5 s\nsolver")
+    assert "for 1e-06: Dopri5, native" in done.output
+    rows = json.loads((folder / "work.json").read_text())["rows"]
+    assert [row["setting"]["rtol"] for row in rows] == [1e-6, 1e-9]
+    assert (folder / "work.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--solver", "Euler8"], "is no solver of diffrax"),
+        (["--json", "nowhere/work.json"], "does not exist; make it first"),
+    ],
+)
+def test_work_precision_refuses(folder, options, says):
+    done = rollkane_with("work-precision", "ball.toml", "--quiet", *options)
+    assert done.exit_code == 2
+    assert says in done.output

@@ -1,6 +1,7 @@
 """The compiled loop over lanes, from Python: queues of motions in, results out."""
 
 import ctypes
+import functools
 from collections.abc import Callable
 from importlib.resources import files
 from typing import Any, NamedTuple
@@ -166,6 +167,7 @@ class LaneLoop:
         return results._replace(turns=turns)
 
 
+@functools.cache
 def _queue_type(real: Any) -> Any:
     """``Queue`` of lane_loop.c."""
     fields: list[Any] = [
