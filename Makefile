@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint format bench stability docs clean
+.PHONY: demo test test-all lint format bench bench-peers stability docs clean
 
 demo: .venv/.installed
 	@mkdir -p out
@@ -31,6 +31,14 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 
+bench-peers: .venv/.bench .venv-mujoco/.installed .venv-exudyn/.installed
+	$(BIN)/python benchmarks/compare.py --out benchmarks/results
+
+# a peer that cannot be installed is skipped by name
+.venv-%/.installed:
+	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
+		--disable-pip-version-check numpy $* && touch $@
+
 stability: .venv/.bench
 	$(BIN)/python benchmarks/stability.py --out benchmarks/results
 
@@ -38,7 +46,7 @@ docs: .venv/.docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf .venv out site build dist
+	rm -rf .venv .venv-mujoco .venv-exudyn out site build dist
 
 .venv/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'

@@ -53,6 +53,19 @@ class CPeer(NamedTuple):
         end, accepted, rejected, rhs = arguments[5:]
         return PeerResult(list(end), accepted.value, rejected.value, rhs.value)
 
+    def solve_each(self, name: str, starts, end: float, rtol: float, atol: float):
+        """Ends of many motions, one after the other; the loop is in C."""
+        count = len(starts)
+        numbers = (ctypes.c_double * (9 * count))(*starts.reshape(-1))
+        ends = (ctypes.c_double * (9 * count))()
+        arguments = (ctypes.c_double(x) for x in (end, rtol, atol))
+        status = self.library.solve_each(
+            _NUMBER[name], numbers, ctypes.c_long(count), *arguments, ends
+        )
+        if status:
+            raise RuntimeError(f"C DOPRI5, {name}: {_STATUS.get(status, status)}")
+        return ends
+
     def seconds(
         self, name: str, rtol: float, atol: float, repeats: int, samples: int
     ) -> list[float]:
@@ -69,26 +82,33 @@ class CPeer(NamedTuple):
         return times
 
 
-def load() -> tuple[CPeer | None, str]:
-    """Compile and load the peer; return it and "", or None and the reason."""
+def compiled(source: Path, target: Path, more: tuple = ()) -> tuple[str, str]:
+    """Compile to a library; return the command as shown, or "" and the reason."""
     compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
     if compiler is None:
-        return None, "no C compiler found (tried cc, gcc, clang)"
+        return "", "no C compiler found (tried cc, gcc, clang)"
     reason = ""
+    for flags in FLAGS:
+        head = [compiler, "-std=gnu11", *flags, *more, "-fPIC", "-shared"]
+        command = [*head, str(source), "-o", str(target), "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            return " ".join([Path(compiler).name, *head[1:]]), ""
+        reason = done.stderr.strip()
+    return "", f"the C compiler failed: {reason}"
+
+
+def load() -> tuple[CPeer | None, str]:
+    """Compile and load the peer; return it and "", or None and the reason."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         target = Path(folder) / "dopri5.so"
-        for flags in FLAGS:
-            head = [compiler, "-std=gnu11", *flags, "-fPIC", "-shared"]
-            command = [*head, str(SOURCE), "-o", str(target), "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode == 0:
-                shown = " ".join([Path(compiler).name, *head[1:]])
-                try:
-                    return CPeer(_declare(ctypes.CDLL(str(target))), shown), ""
-                except OSError as error:
-                    return None, f"the compiled library does not load: {error}"
-            reason = done.stderr.strip()
-    return None, f"the C compiler failed: {reason}"
+        shown, reason = compiled(SOURCE, target)
+        if not shown:
+            return None, reason
+        try:
+            return CPeer(_declare(ctypes.CDLL(str(target))), shown), ""
+        except OSError as error:
+            return None, f"the compiled library does not load: {error}"
 
 
 def _declare(library: ctypes.CDLL) -> ctypes.CDLL:

@@ -302,12 +302,12 @@ class _Run:
 
     def _in_lanes(self, scene, starts, first: int, count: int) -> Ensemble:
         assert self.lanes is not None
-        state, results = self.lanes.run(scene, starts, self.block)
+        y, results = self.lanes.run(scene, starts, self.block)
         return self._ensemble(
             first,
             count,
             scene,
-            state,
+            self.lanes.states(y),
             results.code,
             results.final_time,
             self.lanes.states(results.final_y),

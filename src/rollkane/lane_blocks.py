@@ -109,7 +109,7 @@ class LaneBlocks:
         slots = np.where(np.abs(ends - outputs[nearest]) <= near, nearest, -1)
         return Stops(sense * ends, sense * starts, slots, len(outputs))
 
-    def run(self, scene: Any, starts: Any, count: int) -> tuple[Any, Results]:
+    def run(self, scene: Any, starts: Any, count: int) -> tuple[np.ndarray, Results]:
         """Integrate one block.
 
         Args:
@@ -118,7 +118,7 @@ class LaneBlocks:
             count: How many there are.
 
         Returns:
-            States at the times, every array with (M, T) in front, and all results.
+            Packed states at the times, shape (M, T, n), and all results.
         """
         y0, sizes, first_steps = self._prepared(starts, count)
         y0 = np.asarray(y0)
@@ -149,7 +149,7 @@ class LaneBlocks:
         results = results._replace(final_time=sense * results.final_time)
         if self._has_margin:
             results = results._replace(code=self._code(scene, results))
-        return self.states(y), results
+        return y, results
 
     def states(self, y: Any) -> Any:
         """States of packed numbers; every array with the same axes in front."""

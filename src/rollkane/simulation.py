@@ -23,9 +23,9 @@ from .integration import (
     tolerances,
     warn_single_precision,
 )
-from .lane_blocks import LaneBlocks, NotForLanesError
-from .members import single
+from .lane_blocks import NotForLanesError
 from .modes import Modes, of
+from .one_lane import in_one_lane
 from .rolling import contact_of, rolling_derivative
 from .rolling_run import code_by_margin, corners, error_sizes, has_margin
 from .scene import Rolling, Scene, Slipping, under
@@ -178,25 +178,12 @@ def _simulate_natively(
     warn_single_precision(dtype)
     times = np.asarray(checked_times(times, dtype))
     check_span(scene, times)
-    rtol_known, _ = tolerances(rtol, atol, dtype)
-    most = UNRECORDED_STEPS if max_steps is None else max_steps
-    solver = default_solver(rtol_known) if solver is None else solver
-    members = single(scene, start)
     try:
-        loop = LaneBlocks(members, times, rtol, atol, solver, most, lanes=1)
+        return in_one_lane(scene, start, times, rtol, atol, solver, max_steps)
     except NotForLanesError as error:
         remedy = 'use method="diffrax"'
         problem = f"cannot do this: {error}"
         raise FieldError(field, "native", problem, remedy) from error
-    states, results = loop.run(*members.block(0, 1), 1)
-    # NumPy's arrays as they are: making JAX's of them would cost 1 ms
-    only = lambda tree: jax.tree.map(lambda x: x[0], tree)
-    parts: Any = (
-        *(times, only(states), scene, results.code[0], results.final_time[0]),
-        *(only(loop.states(results.final_y)), results.steps[0]),
-        results.rejected_steps[0],
-    )
-    return Trajectory(*parts)
 
 
 def _simulate_modes(

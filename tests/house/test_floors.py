@@ -55,6 +55,7 @@ LADDER = [
     "integration",
     "members",
     "lane_blocks",
+    "one_lane",
     "hybrid",
     "simulation",
     "kane",

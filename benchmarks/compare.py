@@ -1,0 +1,401 @@
+"""rollkane and what users would pick instead, side by side in one run.
+
+    python benchmarks/compare.py [--out FOLDER] [--repeats N] [--quick]
+
+P1 (ball on a turntable), P2 (thin disc), P3 (rattleback): error against time of one
+motion for all; motions per second at 1 to 100,000 motions; cost and truth of gradients.
+Peers run in environments of their own (`make bench-peers` makes them); one that is not
+there is skipped by name, with the reason. Prints tables, writes JSON and two diagrams.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+# the XLA setting that the command line uses, too (docs/speed.md)
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536",
+)
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+jax.config.update("jax_enable_x64", True)
+
+from peers import c_dopri5, c_lanes, diffrax_usual  # noqa: E402
+from peers.problems import INITIAL, PROBLEMS, end_error  # noqa: E402
+from single import at_error, end_numbers, scene_of  # noqa: E402
+
+import rollkane as rk  # noqa: E402
+
+HERE = Path(__file__).parent
+OTHERS = {  # script -> environment
+    "sympy_rolling.py": None,
+    "mujoco_rolling.py": ".venv-mujoco",
+    "exudyn_rolling.py": ".venv-exudyn",
+}
+TOLERANCES = tuple(10.0**-k for k in range(4, 13))
+COUNTS = (1, 100, 10_000, 100_000)
+# of the reference by Richardson differences, bench/problems.md: end -> derivative
+GRADIENTS = {"P2": (1.0, -0.438184516), "P3": (1.0, 1.79541352)}
+
+
+def median(function, repeats: int):
+    """Median seconds of a few calls, after one that compiles."""
+    began = time.perf_counter()
+    jax.block_until_ready(function())
+    first = time.perf_counter() - began
+    spans = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        jax.block_until_ready(function())
+        spans.append(time.perf_counter() - began)
+    return statistics.median(spans), first
+
+
+def ball_on_turntable():
+    """P1, with the exact place of its centre at the end."""
+    inertia = 0.4 * 0.1**2 * np.eye(3)
+    scene = rk.Scene(
+        rk.Body(1.0, inertia, rk.Sphere(0.1)), rk.Base(motion=rk.Spin(3.0))
+    )
+    # v + w x (-R z) = Omega z x r, with v = (0, 0.2) at r = (0.3, 0)
+    spin = [-(0.2 - 3.0 * 0.3) / 0.1, 0.0, 0.0]
+    start = rk.place(scene, [1.0, 0.0, 0.0, 0.0], spin, [0.3, 0.0, 0.0])
+    rate = 2.0 / 7.0 * 3.0
+    turn = rate * 10.0
+    exact = [0.3 + 0.2 / rate * (np.cos(turn) - 1.0), 0.2 / rate * np.sin(turn)]
+    return scene, start, np.array(exact)
+
+
+def ours(repeats: int) -> list[dict]:
+    """Error and time of one motion, by both methods and two solvers."""
+    rows = []
+    for name in ("P1", "P2", "P3"):
+        for method in ("native", "diffrax"):
+            for solver in ("Dopri5", "Dopri8"):
+                rows += [our_run(name, method, solver, r, repeats) for r in TOLERANCES]
+    return rows
+
+
+def our_run(name: str, method: str, solver: str, rtol: float, repeats: int) -> dict:
+    """One problem with one setting."""
+    if name == "P1":
+        scene, start, exact = ball_on_turntable()
+        end = 10.0
+    else:
+        (scene, start), exact, end = scene_of(name), None, PROBLEMS[name]["t_end"]
+    how = {"rtol": rtol, "solver": getattr(dfx, solver)(), "method": method}
+    run = lambda: rk.simulate(scene, start, (0.0, end), **how)
+    seconds, first = median(lambda: run().final_state, repeats)
+    result = run()
+    if exact is not None:
+        place = np.asarray(result.position[-1])[:2]
+        error = float(np.linalg.norm(place - exact))
+    else:
+        apart = end_error(PROBLEMS[name], end_numbers(PROBLEMS[name], result))
+        error = float(max(apart.position, apart.rotation))
+    return {
+        "problem": name,
+        "peer": f"rollkane {method}, {solver}",
+        "setting": f"rtol {rtol:.0e}",
+        "error": error,
+        "seconds": seconds,
+        "steps": int(result.steps + result.rejected_steps),
+        "first": first,
+    }
+
+
+def c_and_diffrax(repeats: int) -> tuple[list[dict], list[str]]:
+    """Hand-written C, and diffrax the usual way."""
+    rows, notes = [], []
+    library, why = c_dopri5.load()
+    if library is None:
+        notes.append(f"C skipped: {why}")
+    for name, problem in PROBLEMS.items():
+        for rtol in TOLERANCES:
+            found = []
+            if library is not None:
+                result = library.solve(name, rtol, 0.01 * rtol)
+                spans = library.seconds(name, rtol, 0.01 * rtol, 20, repeats)
+                steps = result.accepted + result.rejected
+                found.append(
+                    ("C DOPRI5", result.y_end, statistics.median(spans), steps)
+                )
+            if rtol > 1e-11:
+                solve = jax.jit(diffrax_usual.solver_of(name, problem["t_end"], rtol))
+                start = jnp.array(INITIAL[name])
+                seconds, _ = median(lambda s=solve, y=start: s(y), max(3, repeats // 3))
+                y, steps = solve(start)
+                peer = "diffrax Tsit5, usual style"
+                found.append((peer, diffrax_usual.end_of(y), seconds, int(steps)))
+            for peer, y, seconds, steps in found:
+                error = end_error(problem, y)
+                rows.append(
+                    {
+                        "problem": name,
+                        "peer": peer,
+                        "setting": f"rtol {rtol:.0e}",
+                        "error": max(error.position, error.rotation),
+                        "seconds": seconds,
+                        "steps": steps,
+                    }
+                )
+    return rows, notes
+
+
+def others() -> tuple[list[dict], list[str]]:
+    """Peers with environments of their own."""
+    rows, notes = [], []
+    for script, environment in OTHERS.items():
+        python = sys.executable
+        if environment is not None:
+            python = str(HERE.parent / environment / "bin" / "python")
+            if not Path(python).exists():
+                notes.append(f"{script} skipped: no {environment} (make bench-peers)")
+                continue
+        command = [python, str(HERE / "peers" / script)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            reason = done.stderr.strip().splitlines()[-1:]
+            notes.append(f"{script} skipped: {' '.join(reason)}")
+            continue
+        rows += json.loads(done.stdout.splitlines()[-1])
+    return rows, notes
+
+
+def spread(name: str, count: int) -> np.ndarray:
+    """Starts of a batch as the peers' nine numbers: spins within 10 %."""
+    random = np.random.default_rng(0)
+    starts = np.tile(np.array(INITIAL[name]), (count, 1))
+    starts[:, 4:7] *= 1.0 + 0.1 * random.uniform(-1.0, 1.0, (count, 1))
+    return starts
+
+
+def throughput(repeats: int, counts) -> tuple[list[dict], list[str]]:
+    """Motions of 1 s at rtol 1e-8, per second of the whole machine and of a core."""
+    rows, notes = [], []
+    lanes, why = c_lanes.load()
+    if lanes is None:
+        notes.append(f"C skipped: {why}")
+    for name in PROBLEMS:
+        usual = jax.jit(jax.vmap(diffrax_usual.solver_of(name, 1.0, 1e-8)))
+        for count in counts:
+            times = {10_000: 3, 100_000: 1}.get(count, repeats)
+            for peer, run in batches(name, count, usual, lanes).items():
+                run()  # compiles
+                cpu = time.process_time()
+                seconds, _ = median(run, times)
+                cpu = (time.process_time() - cpu) / (times + 1)
+                rows.append(
+                    {
+                        "problem": name,
+                        "peer": peer,
+                        "count": count,
+                        "per_second": count / seconds,
+                        "per_core_second": count / max(cpu, 1e-9),
+                    }
+                )
+    return rows, notes
+
+
+def batches(name: str, count: int, usual, lanes) -> dict:
+    """Functions that run a batch, by peer."""
+    scene, start = scene_of(name)
+    numbers = spread(name, count)
+    put = lambda w: eqx.tree_at(lambda s: s.angular_velocity, start, w)
+    starts = jax.vmap(put)(jnp.asarray(numbers[:, 4:7]))
+
+    def ensemble(solver, **how):
+        return lambda: (
+            rk.ensemble(
+                scene, starts, (0.0, 1.0), rtol=1e-8, solver=solver, **how
+            ).final_state
+        )
+
+    runs = {
+        "rollkane native, Dopri5, 1 worker": ensemble(dfx.Dopri5(), workers=1),
+        "rollkane native, Dopri8, 1 worker": ensemble(dfx.Dopri8(), workers=1),
+        "rollkane native, Dopri5": ensemble(dfx.Dopri5()),
+        "rollkane native, Dopri8": ensemble(dfx.Dopri8()),
+    }
+    if count <= 10_000:
+        runs["rollkane diffrax, Dopri5"] = ensemble(dfx.Dopri5(), method="diffrax")
+        runs["diffrax Tsit5, usual style"] = lambda: usual(jnp.asarray(numbers))
+    if lanes is not None:
+        scalar, _ = c_dopri5.load()
+        how = numbers, 1.0, 1e-8, 1e-10
+        runs["C lanes, hand-vectorised"] = lambda: lanes.solve(name, *how)
+        runs["C scalar"] = lambda: scalar.solve_each(name, *how)
+    return runs
+
+
+def gradients(repeats: int) -> list[dict]:
+    """Cost in forward solves, and difference from Richardson's, of one derivative."""
+    rows = []
+    for name, (end, exact) in GRADIENTS.items():
+        scene, start = scene_of(name)
+
+        def value(w3, name=name, scene=scene, start=start, end=end):
+            spin = start.angular_velocity.at[2].set(w3)
+            moved = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+            run = rk.simulate(scene, moved, (0.0, end), rtol=1e-10)
+            if name == "P2":
+                return run.position[-1, 0]
+            return run.angular_velocity[-1, 2]
+
+        w3 = start.angular_velocity[2]
+        plain = jax.jit(value)
+        forward = jax.jit(lambda w, value=value: jax.jvp(value, (w,), (jnp.ones(()),)))
+        reverse = jax.jit(jax.value_and_grad(value))
+        base, _ = median(lambda f=plain, w=w3: f(w), repeats)
+        for label, run, read in (
+            ("forward", forward, lambda x: x[1]),
+            ("reverse", reverse, lambda x: x[1]),
+        ):
+            seconds, first = median(lambda f=run, w=w3: f(w), repeats)
+            found = float(read(run(w3)))
+            rows.append(
+                {
+                    "problem": name,
+                    "mode": label,
+                    "solves": seconds / base,
+                    "off": abs(found / exact - 1.0),
+                    "first": first,
+                }
+            )
+    return rows
+
+
+def show_single(rows: list[dict]) -> list[dict]:
+    """Every peer at equal errors, over C and over rollkane's fastest."""
+    equal = []
+    print("\nOne motion at equal end error (time / time of C, step / step of C):")
+    for problem in ("P1", "P2", "P3"):
+        peers = list(dict.fromkeys(r["peer"] for r in rows if r["problem"] == problem))
+        for target in (1e-4, 1e-6, 1e-8):
+            found = {p: at_error(rows, problem, p, target) for p in peers}
+            c = found.get("C DOPRI5")
+            for peer, it in found.items():
+                if it is None:
+                    continue
+                row = {"problem": problem, "error": target, "peer": peer}
+                row |= {"seconds": it[0], "per_step": it[1]}
+                row |= (
+                    {"over_c": it[0] / c[0], "step_over_c": it[1] / c[1]} if c else {}
+                )
+                equal.append(row)
+                over = f"{row['over_c']:10.2f}{row['step_over_c']:10.2f}" if c else ""
+                print(
+                    f"{problem:4}{target:8.0e}  {peer:32}{1e3 * it[0]:11.3f} ms"
+                    f"{1e6 * it[1]:10.3f} us/step{over}"
+                )
+    return equal
+
+
+def show_rest(batch: list[dict], slopes: list[dict]) -> None:
+    """Throughput and gradients."""
+    print("\nMotions of 1 s at rtol 1e-8, per second (and per core second):")
+    for row in batch:
+        print(
+            f"{row['problem']:4}{row['count']:>8}  {row['peer']:36}"
+            f"{row['per_second']:12.0f}{row['per_core_second']:12.0f}"
+        )
+    print("\nDerivative by the spin at the start, end at 1 s:")
+    for row in slopes:
+        print(
+            f"{row['problem']:4}{row['mode']:10}{row['solves']:8.2f} solves, off by "
+            f"{row['off']:.1e}, first call {row['first']:.1f} s"
+        )
+
+
+def draw(rows: list[dict], path: Path) -> None:
+    """Error against time of all peers, a panel for each problem."""
+    from rollkane.plot_style import dress, new_figure, png
+
+    figure = new_figure((13.0, 4.8))
+    panels = figure.subplots(1, 3, sharey=True)
+    peers = list(dict.fromkeys(r["peer"] for r in rows))
+    for panel, problem in zip(panels, ("P1", "P2", "P3"), strict=True):
+        for i, peer in enumerate(peers):
+            mine = [r for r in rows if r["peer"] == peer and r["problem"] == problem]
+            if not mine:
+                continue
+            panel.loglog(
+                [r["error"] for r in mine],
+                [r["seconds"] for r in mine],
+                marker="osD^vP<>X*"[i % 10],
+                markersize=4,
+                linewidth=2.0 if peer.startswith("rollkane native") else 1.0,
+                color=f"C{i % 10}",
+                label=peer,
+            )
+        panel.set_title(problem, fontsize=11)
+        panel.set_xlabel("end error [m] or [rad], the larger")
+        dress(panel)
+    panels[0].set_ylabel("time of a run [s]")
+    handles, labels = {}, []
+    for panel in panels:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    labels = list(handles)
+    figure.legend(
+        [handles[x] for x in labels],
+        labels,
+        loc="outside right center",
+        fontsize=8,
+        frameon=False,
+    )
+    path.write_bytes(png(figure))
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--quick", action="store_true", help="small batches only")
+    options = parser.parse_args()
+    machine = (
+        f"{platform.machine()}, {os.cpu_count()} cores, Python "
+        f"{platform.python_version()}, jax {jax.__version__}, "
+        f"medians of {options.repeats}"
+    )
+    print(machine)
+    rows, notes = c_and_diffrax(options.repeats)
+    rows = ours(options.repeats) + rows
+    more, why = others()
+    rows, notes = rows + more, notes + why
+    equal = show_single(rows)
+    counts = COUNTS[:2] if options.quick else COUNTS
+    batch, why = throughput(options.repeats, counts)
+    slopes = gradients(options.repeats)
+    show_rest(batch, slopes)
+    notes += why
+    for note in notes:
+        print(note)
+    options.out.mkdir(parents=True, exist_ok=True)
+    figures = {
+        "machine": machine,
+        "runs": rows,
+        "equal_error": equal,
+        "throughput": batch,
+        "gradients": slopes,
+        "notes": notes,
+    }
+    (options.out / "compare.json").write_text(json.dumps(figures, indent=1))
+    draw(rows, options.out / "compare.png")
+
+
+if __name__ == "__main__":
+    main()
