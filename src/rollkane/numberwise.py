@@ -4,8 +4,8 @@ The library is written with vectors of three and small matrices. A kernel that w
 many motions pays for each of them: slices, stacks, and the zeros of a plane's frame or
 a vertical gravity. Here a traced program is walked once more with every array as a set
 of numbers. Slices and stacks are then bookkeeping, what is multiplied by a written zero
-or one falls away, and only arithmetic is left: 163 operations instead of 442 equations
-for a disc on a plane.
+or one falls away, and only arithmetic is left: 217 operations on numbers instead of 442
+equations on arrays for a disc on a plane.
 """
 
 import operator

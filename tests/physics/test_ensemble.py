@@ -271,3 +271,19 @@ def test_traced_arguments_do_not_stream():
 
     with pytest.raises(rk.FieldError, match="cannot stream"):
         stream(starts)
+
+
+def test_the_loop_is_compiled_once_for_its_kind():
+    """Other numbers, other starts, other counts: nothing new; another solver: one."""
+    from rollkane.lane_blocks import _compiled
+
+    scene, starts = discs(5)
+    run = lambda s, x, **how: rk.ensemble(s, x, [0.0, 0.01], method="native", **how)
+    run(scene, starts, rtol=1e-7)
+    known = _compiled.cache_info().misses
+    wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, jnp.asarray(0.3))
+    run(wider, member(starts, slice(0, 3)), rtol=1e-10)
+    run(scene, starts, max_steps=7, block=2)
+    assert _compiled.cache_info().misses == known
+    run(scene, starts, solver=dfx.Bosh3(), rtol=1e-4)
+    assert _compiled.cache_info().misses == known + 1

@@ -201,3 +201,29 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ROLLKANE_CACHE", str(tmp_path / "file"))
     assert loop_of().lanes == 8
+
+
+def test_only_arithmetic_is_left_of_a_disc():
+    """442 equations of arrays are 217 operations; a zero of the plane costs nothing."""
+    from rollkane import rolling_derivative
+    from rollkane.coordinates import pack, unpack
+    from rollkane.native.source import source_of
+
+    from .. import problems
+
+    scene, start = problems.disc(6.0)
+    leaves, tree = jax.tree.flatten(scene)
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+
+    def derivative(t, y, *leaves):
+        scene = jax.tree.unflatten(tree, leaves)
+        return pack(rolling_derivative(scene, t, unpack(y, like)))
+
+    kinds = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
+    text, _ = source_of(
+        derivative, jax.eval_shape(pack, like), kinds, [False] * len(kinds)
+    )
+    per_lane = text.count("const row ") - text.count("const row *")
+    per_call = text.count("const real c")
+    assert per_lane <= 220, per_lane
+    assert per_call <= 60, per_call

@@ -65,6 +65,7 @@ class Listing:
         """An empty program."""
         self.uniform: list[tuple[Symbol, str]] = []
         self.rows: list[tuple[Symbol, str]] = []
+        self._written: dict[str, Symbol] = {}
 
     def operate(self, name: str, params: Any, operands: list, dtype: Any) -> Symbol:
         """Write one operation; see :class:`rollkane.numberwise.Program`."""
@@ -73,9 +74,12 @@ class Listing:
             raise NotElementwiseError(f"{name} of whole numbers")
         row = any(isinstance(x, Symbol) and x.row for x in operands)
         text = _expression(name, params, operands, row)
+        if text in self._written:  # computed before
+            return self._written[text]
         statements = self.rows if row else self.uniform
         symbol = Symbol(f"{'r' if row else 'c'}{len(statements)}", row, truth)
         statements.append((symbol, text))
+        self._written[text] = symbol
         return symbol
 
 
