@@ -10,6 +10,9 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+# beyond, n^3 / 3 operations take longer to compile than anybody waits
+_UNROLLED = 12
+
 
 def components(a: Float[Array, "n *B"]) -> list[Float[Array, "*B"]]:
     """Split an array along its first axis; traces faster than ``a[i]``."""
@@ -90,7 +93,7 @@ def solve_2x2(
 def solve_spd(
     matrix: list[list[Float[Array, "*B"]]], rhs: list[Float[Array, "*B"]]
 ) -> list[Float[Array, "*B"]]:
-    """Solve a symmetric positive definite system by an unrolled LDL^T.
+    """Solve a symmetric positive definite system by LDL^T, unrolled where it is small.
 
     Args:
         matrix: Entries by row; only the lower triangle is read, so row ``i`` needs
@@ -101,6 +104,8 @@ def solve_spd(
         The solution, by entries.
     """
     n, x = len(matrix), list(rhs)
+    if n > _UNROLLED:
+        return _solve_by_columns(matrix, rhs)
     lower: list[list] = [[None] * n for _ in range(n)]
     pivot: list = [None] * n
     for j in range(n):
@@ -119,3 +124,26 @@ def solve_spd(
         for k in range(i + 1, n):
             x[i] = x[i] - lower[k][i] * x[k]
     return x
+
+
+def _solve_by_columns(matrix: list[list[Array]], rhs: list[Array]) -> list[Array]:
+    """The same in loops over columns; for numbers without lanes."""
+    n = len(rhs)
+    zero = jnp.zeros_like(rhs[0])
+    lower = jnp.stack([jnp.stack([*row, *[zero] * (n - len(row))]) for row in matrix])
+    whole = jnp.concatenate(
+        [lower + jnp.tril(lower, -1).T, jnp.stack(rhs)[:, None]], axis=1
+    )
+    index = jnp.arange(n)
+
+    def eliminate(whole, j):
+        share = jnp.where(index > j, whole[:, j] / whole[j, j], 0.0)
+        return whole - share[:, None] * whole[j][None], None
+
+    def substitute(x, j):
+        known = jnp.sum(jnp.where(index > j, reduced[j, :n] * x, 0.0))
+        return x.at[j].set((reduced[j, n] - known) / reduced[j, j]), None
+
+    reduced, _ = lax.scan(eliminate, whole, index)
+    x, _ = lax.scan(substitute, jnp.zeros_like(reduced[:, n]), index, reverse=True)
+    return components(x)
