@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint format bench bench-peers stability docs clean
+.PHONY: demo test test-all lint format bench bench-peers accuracy growth compiling stability docs clean
 
 demo: .venv/.installed
 	@mkdir -p out
@@ -38,6 +38,15 @@ bench-peers: .venv/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 .venv-%/.installed:
 	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
 		--disable-pip-version-check numpy $* && touch $@
+
+accuracy: .venv/.bench
+	$(BIN)/python benchmarks/accuracy.py --out benchmarks/results
+
+growth: .venv/.bench
+	$(BIN)/python benchmarks/growth.py --out benchmarks/results
+
+compiling: .venv/.bench
+	$(BIN)/python benchmarks/compiling.py --out benchmarks/results
 
 stability: .venv/.bench
 	$(BIN)/python benchmarks/stability.py --out benchmarks/results

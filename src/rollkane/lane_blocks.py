@@ -79,6 +79,7 @@ class LaneBlocks:
             sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
             backwards=bool(times[-1] < times[0]),
             lanes=lanes,
+            zeros=zeros_of(leaves, members.scene_axes),
         )
         try:
             self._loop = _compiled(kind, type(solver))
@@ -180,6 +181,7 @@ class _Kind(NamedTuple):
     sizes: tuple
     backwards: bool
     lanes: int | None
+    zeros: tuple
 
 
 @functools.lru_cache(maxsize=64)
@@ -201,6 +203,15 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         list(kind.own),
         weights_of(solver(), "the loop over lanes"),
         kind.lanes,
+        list(kind.zeros),
+    )
+
+
+def zeros_of(leaves: list, axes: list[int | None]) -> tuple[tuple[bool, ...], ...]:
+    """Which numbers of a scene are zero: the compiled loop leaves out what they do."""
+    return tuple(
+        () if axis is not None else tuple((np.asarray(x) == 0).ravel().tolist())
+        for x, axis in zip(leaves, axes, strict=True)
     )
 
 

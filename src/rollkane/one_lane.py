@@ -23,9 +23,10 @@ class _Call:
     def __init__(self, scene, start, times, rtol, atol, solver, max_steps):
         leaves, tree = jax.tree.flatten((scene, start))
         kinds = tuple((x.shape, x.dtype) for x in leaves)
+        zeros = tuple((np.asarray(x) == 0).tobytes() for x in jax.tree.leaves(scene))
         self.arguments = scene, start, times, rtol, atol, solver, max_steps
         self.kind = (
-            *(tree, kinds, times.tobytes(), times.dtype),
+            *(tree, kinds, zeros, times.tobytes(), times.dtype),
             *(rtol, atol, solver, max_steps),
         )
 

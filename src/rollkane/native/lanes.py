@@ -94,6 +94,7 @@ class LaneLoop:
         own: list[bool],
         weights: Weights,
         lanes: int | None = None,
+        zeros: list[tuple[bool, ...]] | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -104,6 +105,7 @@ class LaneLoop:
             own: Which of them differ from motion to motion.
             weights: Of an explicit Runge-Kutta pair.
             lanes: How many; what a vector of 64 bytes holds by default.
+            zeros: Of each leaf, which numbers are zero for all; None: not known.
 
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
@@ -112,7 +114,7 @@ class LaneLoop:
         self.dtype = np.dtype(state.dtype)
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
-        rates, uniform = source_of(derivative, state, leaves, own)
+        rates, uniform = source_of(derivative, state, leaves, own, zeros)
         sizes = [
             int(np.prod(leaf.shape))
             for leaf, differs in zip(leaves, own, strict=True)

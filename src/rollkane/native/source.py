@@ -140,7 +140,11 @@ def _literal(value: float) -> str:
 
 
 def source_of(
-    derivative: Callable, state: jax.ShapeDtypeStruct, leaves: list, own: list[bool]
+    derivative: Callable,
+    state: jax.ShapeDtypeStruct,
+    leaves: list,
+    own: list[bool],
+    zeros: list[tuple[bool, ...]] | None = None,
 ) -> tuple[str, int]:
     """A right-hand side as two C functions, ``prepare`` and ``rates``.
 
@@ -149,6 +153,8 @@ def source_of(
         state: Shape and type of y.
         leaves: Shapes and types of the model's leaves for one motion.
         own: Which of them differ from motion to motion.
+        zeros: Of each leaf, which numbers are zero for all: what they are multiplied
+            by is left out. None: not known.
 
     Returns:
         The text, and how many uniform numbers ``prepare`` leaves for ``rates``.
@@ -161,11 +167,16 @@ def source_of(
     listing = Listing()
     values = [_symbols(["t"], (), True), _array("y", state.shape, True, 0)]
     places = {"own": 0, "shared": 0}
-    for leaf, differs in zip(leaves, own, strict=True):
+    zeros = [()] * len(leaves) if zeros is None else zeros
+    for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
         if not np.issubdtype(leaf.dtype, np.floating):
             raise NotElementwiseError("a model with whole numbers")
         name = "own" if differs else "shared"
-        values.append(_array(name, leaf.shape, differs, places[name]))
+        numbers = _array(name, leaf.shape, differs, places[name])
+        for i, is_zero in enumerate(nothing):
+            if is_zero:
+                numbers.reshape(-1)[i] = leaf.dtype.type(0)
+        values.append(numbers)
         places[name] += int(np.prod(leaf.shape))
     (rates,) = program(values, listing.operate)
     return _functions(listing, list(rates))
