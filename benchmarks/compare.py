@@ -337,7 +337,7 @@ def draw(rows: list[dict], path: Path) -> None:
                 marker="osD^vP<>X*"[i % 10],
                 markersize=4,
                 linewidth=2.0 if peer.startswith("rollkane native") else 1.0,
-                color=f"C{i % 10}",
+                color=f"C{i}" if i < 10 else "black",
                 label=peer,
             )
         panel.set_title(problem, fontsize=11)

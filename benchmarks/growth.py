@@ -98,9 +98,15 @@ def masses(count: int, repeats: int) -> dict:
         )
     body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
     scene = rk.Scene(body, supported=supported)
-    start = rk.place(scene, [1.0, 0.0, 0.0, 0.0], [0.5, 2.0, 1.0], [0.0, 0.0, 0.0])
-    how = {"rtol": 1e-8, "solver": dfx.Dopri5(), "method": "diffrax"}
-    run = lambda: rk.simulate(scene, start, (0.0, 1.0), **how)
+    rest = [np.zeros(count)] * 2 if count else [(), ()]
+    start = rk.place(
+        *(scene, [1.0, 0.0, 0.0, 0.0], [0.5, 2.0, 1.0], [0.0, 0.0, 0.0]),
+        alpha=rest[0],
+        alpha_dot=rest[1],
+    )
+    # steps of fixed length: the same number for all
+    how = {"dt0": 1e-3, "stepsize_controller": dfx.ConstantStepSize()}
+    run = lambda: rk.simulate(scene, start, (0.0, 1.0), solver=dfx.Dopri5(), **how)
     seconds, first = timed(lambda: run().final_state, repeats)
     result = run()
     steps = int(result.steps + result.rejected_steps)

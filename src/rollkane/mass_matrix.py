@@ -19,6 +19,10 @@ from .small_linear import components, cross, dot, matvec, matvec_transposed
 from .supported import AbstractSupported, Carried, total
 from .voronets import AnyState
 
+# products of more coordinates are one product of matrices: they would take minutes to
+# compile one by one
+_ONE_BY_ONE = 8
+
 
 class Masses(NamedTuple):
     """One carried part about the contact point, and what drives it.
@@ -151,11 +155,12 @@ def _with_masses(
     for i, row in enumerate(_inertia_rows(part.mass, s, own_inertia)):
         rows[i] = [old + new for old, new in zip(rows[i], row, strict=True)]
     zero = jnp.zeros_like(rhs[0])
+    products = _products(part)
     for a, u in enumerate(part.partials):
         push = m * u
         G = total(cross(s, push))
         Q = -_summed(dot(u, drive))
-        mass_row = [_summed(dot(push, part.partials[b])) for b in range(a + 1)]
+        mass_row = products[a]
         if turning is not None and torque is not None:
             tilt = turning.partials[a]
             stored = matvec(turning.inertia, tilt)
@@ -167,6 +172,20 @@ def _with_masses(
         rows.append([*components(G), *[zero] * (before - 3), *mass_row])
         rhs.append(Q if own is None else Q + own[a])
     return rows, rhs
+
+
+def _products(part: Carried) -> list[list[Array]]:
+    """Lower triangle of ``sum m dr/dalpha_a . dr/dalpha_b``."""
+    m, partials = part.mass[None], part.partials
+    count = len(partials)
+    if count > _ONE_BY_ONE:
+        ways = jnp.stack(partials)
+        table = jnp.tensordot(m * ways, ways, axes=((1, 2), (1, 2)))
+        return [components(row)[: a + 1] for a, row in enumerate(components(table))]
+    return [
+        [_summed(dot(m * partials[a], partials[b])) for b in range(a + 1)]
+        for a in range(count)
+    ]
 
 
 def _inertia_rows(mass, s, own_inertia) -> list[list[Array]]:

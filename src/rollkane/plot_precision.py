@@ -2,7 +2,7 @@
 
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _COLOURS = (BLUE, GREEN, PURPLE, BROWN, RED, INK)
 _MARKS = "osD^vP"
+_USUAL = ("double", "pole-free", "rolling")
+_DOTTED = (":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 3)))
 
 
 def figure_work_precision(work: WorkPrecision, title: str = "") -> "Figure":
@@ -51,9 +53,11 @@ def figure_work_precision(work: WorkPrecision, title: str = "") -> "Figure":
 
 
 def _draw(panel: "Axes", work: WorkPrecision, measure) -> None:
-    """A line for each series; colours by solver, dashes by method."""
+    """A line for each series; colours by solver, dashes by method and the rest."""
     series = list(dict.fromkeys(row.setting.series for row in work.rows))
     solvers = list(dict.fromkeys(row.setting.solver for row in work.rows))
+    rest = dict.fromkeys(map(_rest, work.rows))
+    others = [x for x in rest if x != _USUAL]
     for name in series:
         rows = [row for row in work.rows if row.setting.series == name and not row.code]
         points = [(measure(row), 1e3 * row.seconds) for row in rows]
@@ -68,18 +72,25 @@ def _draw(panel: "Axes", work: WorkPrecision, measure) -> None:
             marker=_MARKS[which],
             markersize=4,
             linewidth=1.2,
-            linestyle=_dashes(rows[0]),
+            linestyle=_dashes(rows[0], others),
+            markerfacecolor="white" if rows[0].setting.steps else None,
             label=name,
         )
+    for formatter in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+        formatter("{x:g}")
     dress(panel)
 
 
-def _dashes(row: Measured) -> str:
+def _rest(row: Measured) -> tuple[str, str, str]:
     setting = row.setting
-    if setting.method == "native":
-        return "-"
-    plain = (setting.precision, setting.coordinates, setting.formulation)
-    return "--" if plain == ("double", "pole-free", "rolling") else ":"
+    return setting.precision, setting.coordinates, setting.formulation
+
+
+def _dashes(row: Measured, others: list) -> Any:
+    rest = _rest(row)
+    if rest == _USUAL:
+        return "-" if row.setting.method == "native" else "--"
+    return _DOTTED[others.index(rest) % len(_DOTTED)]
 
 
 def plot_work_precision(
