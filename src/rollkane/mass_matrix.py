@@ -4,7 +4,7 @@ Angular acceleration and alpha'' on body axes, about the contact point (theory, 
 4.1).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -155,9 +155,9 @@ def _with_masses(
     for i, row in enumerate(_inertia_rows(part.mass, s, own_inertia)):
         rows[i] = [old + new for old, new in zip(rows[i], row, strict=True)]
     zero = jnp.zeros_like(rhs[0])
-    products = _products(part)
-    for a, u in enumerate(part.partials):
-        push = m * u
+    pushes = [m * u for u in part.partials]
+    products = _products(pushes, part.partials)
+    for a, (u, push) in enumerate(zip(part.partials, pushes, strict=True)):
         G = total(cross(s, push))
         Q = -_summed(dot(u, drive))
         mass_row = products[a]
@@ -174,16 +174,15 @@ def _with_masses(
     return rows, rhs
 
 
-def _products(part: Carried) -> list[list[Array]]:
+def _products(pushes: list[Array], partials: Sequence[Array]) -> list[list[Array]]:
     """Lower triangle of ``sum m dr/dalpha_a . dr/dalpha_b``."""
-    m, partials = part.mass[None], part.partials
     count = len(partials)
     if count > _ONE_BY_ONE:
-        ways = jnp.stack(partials)
-        table = jnp.tensordot(m * ways, ways, axes=((1, 2), (1, 2)))
+        both = jnp.stack(pushes), jnp.stack(partials)
+        table = jnp.tensordot(*both, axes=((1, 2), (1, 2)))
         return [components(row)[: a + 1] for a, row in enumerate(components(table))]
     return [
-        [_summed(dot(m * partials[a], partials[b])) for b in range(a + 1)]
+        [_summed(dot(pushes[a], partials[b])) for b in range(a + 1)]
         for a in range(count)
     ]
 
