@@ -13,6 +13,7 @@ from rollkane.scene_files import builtin_scenes, load_scene
 from .. import problems
 
 ASKED = 1e-6
+RECORDED = ("isolator", "shaken-plate")
 
 
 def pose(run):
@@ -119,7 +120,14 @@ def test_picture(disc, tmp_path):
     assert target.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("name", builtin_scenes())
+@pytest.mark.parametrize(
+    "name",
+    [
+        # records go by diffrax, whose three solvers take 15 s to compile
+        pytest.param(name, marks=pytest.mark.slow) if name in RECORDED else name
+        for name in builtin_scenes()
+    ],
+)
 def test_recommended_solver_meets_the_asked_error(name):
     """Against a run whose tolerance is a thousandth of what was recommended."""
     file = load_scene(name)
