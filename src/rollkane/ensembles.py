@@ -203,12 +203,12 @@ class _Run:
         like = self.example[1]
         dtype = like.angular_velocity.dtype
         self.times = checked_times(times, dtype)
+        known, _ = tolerances(rtol, atol, dtype)
+        self.rtol, self.atol = known, atol
         self.how = {
-            "rtol": rtol,
-            "atol": atol,
             "modes": modes,
             "max_steps": max_steps,
-            "solver": solver,
+            "solver": default_solver(known) if solver is None else solver,
         }
         self.why, self.lanes = "", None
         if not self.traced:
@@ -243,13 +243,12 @@ class _Run:
             raise NotForLanesError("runs with modes need the loop of simulate")
         if jax.default_backend() != "cpu":
             raise NotForLanesError(f"numbers are on a {jax.default_backend()}")
-        rtol, _ = tolerances(self.how["rtol"], self.how["atol"], self.times.dtype)
         return LaneBlocks(
             self.members,
             np.asarray(self.times),
-            self.how["rtol"],
-            self.how["atol"],
-            self.how["solver"] or default_solver(rtol),
+            self.rtol,
+            self.atol,
+            self.how["solver"],
             _whole("max_steps", self.how["max_steps"], UNRECORDED_STEPS),
         )
 
@@ -316,7 +315,13 @@ class _Run:
         )
 
     def _by_diffrax(self, scene, starts, first: int, count: int) -> Ensemble:
-        run = _simulated(self.members.axes(), self.how, scene, starts, self.times)
+        # as arrays: another tolerance compiles nothing
+        dtype = self.times.dtype
+        sizes = {"rtol": jnp.asarray(self.rtol, dtype)}
+        if self.atol is not None:
+            sizes["atol"] = jnp.asarray(self.atol, dtype)
+        axes = self.members.axes()
+        run = _simulated(axes, self.how, sizes, scene, starts, self.times)
         return self._ensemble(
             first,
             count,
@@ -351,8 +356,8 @@ def _observed(observe, axes, scene, times, state):
 
 
 @eqx.filter_jit
-def _simulated(axes, how, scene, starts, times):
-    one = lambda scene, start: simulate(scene, start, times, **how)
+def _simulated(axes, how, tolerances, scene, starts, times):
+    one = lambda scene, start: simulate(scene, start, times, **how, **tolerances)
     return jax.vmap(one, in_axes=axes)(scene, starts)
 
 

@@ -362,6 +362,11 @@ def in_order(times: Float[Array, " T"]) -> Array:
 
 def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     """Tolerances, with the defaults of a precision for those that are None."""
+    for field, value in (("rtol", rtol), ("atol", atol)):
+        if isinstance(value, (str, bytes, bool)):
+            raise FieldError(
+                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
+            )
     double = dtype == jnp.float64
     rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
     atol = 0.01 * rtol if atol is None else atol

@@ -27,7 +27,7 @@ class _Call:
         self.arguments = scene, start, times, rtol, atol, solver, max_steps
         self.kind = (
             *(tree, kinds, zeros, times.tobytes(), times.dtype),
-            *(rtol, atol, solver, max_steps),
+            *(rtol, atol, type(solver), max_steps),  # solvers are known by their type
         )
 
     def __eq__(self, other: object) -> bool:
@@ -77,6 +77,8 @@ def in_one_lane(
     Raises:
         NotForLanesError: the loop cannot do this, with the reason.
     """
+    tolerances(rtol, atol, times.dtype)  # refuses what is no number
+    rtol, atol = (None if x is None else float(x) for x in (rtol, atol))
     call = _Call(scene, start, times, rtol, atol, solver, max_steps)
     # the times of corners are numbers of the scene: planned anew
     plan = _found_again if corners(scene)[0] is None else _planned

@@ -247,6 +247,20 @@ REFUSED = {
         lambda s, x: rk.ensemble(s, x, TIMES, block=0),
         "ensemble.block: must be a whole number above zero, got 0",
     ),
+    "a tolerance in words": (
+        lambda s, x: rk.simulate(s, member(x, 0), TIMES, method="native", rtol="small"),
+        "simulate.rtol: must be a positive number, got 'small'",
+    ),
+    "a solver that keeps": (
+        lambda s, x: rk.ensemble(
+            s,
+            x,
+            TIMES,
+            method="native",
+            solver=rk.keeping_energy(s, member(x, 0), dfx.Tsit5()),
+        ),
+        "Keeping is none of Bosh3",
+    ),
     "an option of simulate": (
         lambda s, x: rk.simulate(s, member(x, 0), TIMES, method="native", dt0=0.1),
         "simulate.dt0: cannot be chosen with method",

@@ -102,7 +102,9 @@ typedef struct {
 } Lanes;
 
 /* x^(-1/ORDER) for 1e-12 < x < 1e12: Newton's method, from what the bits of a floating
- * point number are: about its logarithm. Twelve per cent off at most, six times squared. */
+ * point number are: its logarithm to base 2 within 0.087. So the guess is within
+ * 2^(0.087 (1 + 1/ORDER)), 9 % at most, and an error e becomes (ORDER + 1) / 2 e^2: below
+ * 1e-16 after six times for the orders 3 to 8. */
 INLINE row root(row x) {
     if (LANES == 1) return splat(C(pow)(x[0], (real)-1 / ORDER)); /* shorter a chain */
     const real one = REAL_IS_DOUBLE ? (real)4607182418800017408.0 : (real)1065353216.0;
