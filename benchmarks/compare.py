@@ -46,8 +46,9 @@ OTHERS = {  # script -> environment
 }
 TOLERANCES = tuple(10.0**-k for k in range(4, 13))
 COUNTS = (1, 100, 10_000, 100_000)
-# of the reference by Richardson differences, bench/problems.md: end -> derivative
-GRADIENTS = {"P2": (1.0, -0.438184516), "P3": (1.0, 1.79541352)}
+GRADIENTS = (("P2", 1.0), ("P2", 10.0), ("P3", 1.0), ("P3", 5.0))
+# of reverse mode, whatever the number of steps: a state of 9 numbers for each
+KEPT_STATES = 4096
 
 
 def median(function, repeats: int):
@@ -240,40 +241,76 @@ def batches(name: str, count: int, usual, lanes) -> dict:
     return runs
 
 
-def gradients(repeats: int) -> list[dict]:
-    """Cost in forward solves, and difference from Richardson's, of one derivative."""
+def end_number(name: str, end: float, method: str = "diffrax", rtol: float = 1e-10):
+    """One number at the end, of eight: spin, mass, inertia, height of the centre."""
+    scene, start = scene_of(name)
+
+    def value(p):
+        body = scene.body
+        changed = (
+            body.mass * (1.0 + p[3]),
+            body.inertia * (1.0 + jnp.diag(p[4:7])),
+            body.center_of_mass + jnp.stack([0.0 * p[7], 0.0 * p[7], p[7]]),
+        )
+        where = lambda s: (s.body.mass, s.body.inertia, s.body.center_of_mass)
+        spin = start.angular_velocity + p[:3]
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        moved = eqx.tree_at(where, scene, changed)
+        run = rk.simulate(moved, begun, (0.0, end), rtol=rtol, method=method)
+        if name == "P2":
+            return run.position[-1, 0]
+        return run.angular_velocity[-1, 2]
+
+    return value
+
+
+def richardson(name: str, end: float) -> np.ndarray:
+    """Derivatives by differences of runs at rtol 1e-12.
+
+    With steps of 3e-4 and twice that: what is left of the series is of the fourth power
+    of the step, 1e-14, and the runs' errors are 1e-12 over the step, 3e-9.
+    """
+    value = jax.jit(end_number(name, end, rtol=1e-12))
+    h, found = 3e-4, []
+    for unit in np.eye(8):
+        at = [float(value(jnp.asarray(k * h * unit))) for k in (-2, -1, 1, 2)]
+        found.append((8.0 * (at[2] - at[1]) - (at[3] - at[0])) / (12.0 * h))
+    return np.array(found)
+
+
+def gradients(name: str, end: float, repeats: int) -> list[dict]:
+    """Cost in forward solves, truth and memory of derivatives by one and eight."""
+    value = end_number(name, end)
+    exact = richardson(name, end)
+    nought = jnp.zeros(8)
+    plain = jax.jit(value)
+    base, _ = median(lambda: plain(nought), repeats)
+
+    def by_spin(x):
+        return value(nought.at[2].set(x))
+
     rows = []
-    for name, (end, exact) in GRADIENTS.items():
-        scene, start = scene_of(name)
-
-        def value(w3, name=name, scene=scene, start=start, end=end):
-            spin = start.angular_velocity.at[2].set(w3)
-            moved = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
-            run = rk.simulate(scene, moved, (0.0, end), rtol=1e-10)
-            if name == "P2":
-                return run.position[-1, 0]
-            return run.angular_velocity[-1, 2]
-
-        w3 = start.angular_velocity[2]
-        plain = jax.jit(value)
-        forward = jax.jit(lambda w, value=value: jax.jvp(value, (w,), (jnp.ones(()),)))
-        reverse = jax.jit(jax.value_and_grad(value))
-        base, _ = median(lambda f=plain, w=w3: f(w), repeats)
-        for label, run, read in (
-            ("forward", forward, lambda x: x[1]),
-            ("reverse", reverse, lambda x: x[1]),
-        ):
-            seconds, first = median(lambda f=run, w=w3: f(w), repeats)
-            found = float(read(run(w3)))
-            rows.append(
-                {
-                    "problem": name,
-                    "mode": label,
-                    "solves": seconds / base,
-                    "off": abs(found / exact - 1.0),
-                    "first": first,
-                }
-            )
+    for label, function, point, wanted in (
+        ("forward, 1", jax.jacfwd(by_spin), nought[2], exact[2]),
+        ("forward, 8", jax.jacfwd(value), nought, exact),
+        ("reverse, 1", jax.grad(by_spin), nought[2], exact[2]),
+        ("reverse, 8", jax.grad(value), nought, exact),
+    ):
+        run = jax.jit(function)
+        seconds, first = median(lambda f=run, x=point: f(x), repeats)
+        off = np.max(np.abs(run(point) - wanted)) / np.max(np.abs(wanted))
+        memory = run.lower(point).compile().memory_analysis()
+        rows.append(
+            {
+                "problem": name,
+                "end": end,
+                "mode": label,
+                "solves": seconds / base,
+                "off": float(off),
+                "first": first,
+                "temporaries": memory.temp_size_in_bytes,
+            }
+        )
     return rows
 
 
@@ -311,11 +348,13 @@ def show_rest(batch: list[dict], slopes: list[dict]) -> None:
             f"{row['problem']:4}{row['count']:>8}  {row['peer']:36}"
             f"{row['per_second']:12.0f}{row['per_core_second']:12.0f}"
         )
-    print("\nDerivative by the spin at the start, end at 1 s:")
+    print("\nDerivatives of an end by 1 and by 8 parameters, in solves at rtol 1e-10:")
     for row in slopes:
         print(
-            f"{row['problem']:4}{row['mode']:10}{row['solves']:8.2f} solves, off by "
-            f"{row['off']:.1e}, first call {row['first']:.1f} s"
+            f"{row['problem']:4}{row['end']:4.0f} s  {row['mode']:12}"
+            f"{row['solves']:8.2f} solves, off by {row['off']:.1e}, "
+            f"first call {row['first']:.1f} s, "
+            f"{row['temporaries'] / KEPT_STATES:5.0f} bytes a step kept"
         )
 
 
@@ -379,7 +418,7 @@ def main() -> None:
     equal = show_single(rows)
     counts = COUNTS[:2] if options.quick else COUNTS
     batch, why = throughput(options.repeats, counts)
-    slopes = gradients(options.repeats)
+    slopes = [row for case in GRADIENTS for row in gradients(*case, options.repeats)]
     show_rest(batch, slopes)
     notes += why
     for note in notes:

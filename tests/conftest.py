@@ -1,5 +1,6 @@
 """Strictness for every test: double precision, no silent broadcasting or promotion."""
 
+import gc
 import itertools
 import os
 from pathlib import Path
@@ -15,6 +16,10 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 os.environ.setdefault(
     "ROLLKANE_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "rollkane")
 )
+
+# Tracing makes and drops millions of small objects; looking for cycles among them that
+# often would take a tenth of the tests' time.
+gc.set_threshold(200_000, 50, 100)
 
 # Every compiled program takes about four mappings of memory, of which Linux gives a
 # process 65530; beyond, no shared library can be loaded any more.

@@ -25,7 +25,11 @@ Solve = Callable[..., tuple[PyTree, PyTree]]
 
 
 def differentiable(
-    solve: Solve, inputs: PyTree, checkpoints: int = 0, pull: Callable | None = None
+    solve: Solve,
+    inputs: PyTree,
+    checkpoints: int = 0,
+    push: Callable | None = None,
+    pull: Callable | None = None,
 ) -> PyTree:
     """Run a solve so that it can be differentiated in both modes.
 
@@ -36,9 +40,12 @@ def differentiable(
         inputs: Tree that the outputs depend on differentiably.
         checkpoints: States kept by reverse mode; with more steps than these, parts
             are recomputed.
+        push: ``push(inputs_of, varied, record, tangents)`` -> those of the outputs'
+            floats, in order, along tangents of the list ``varied``, of which
+            ``inputs_of`` makes the inputs; all tangents have an axis of one length in
+            front. None: those of the replay.
         pull: ``pull(inputs_of, varied, record, cotangents)`` -> cotangents of the list
-            ``varied``, of which ``inputs_of`` makes the inputs; None: those of the
-            replay by diffrax's adjoint.
+            ``varied``; None: those of the replay by diffrax's adjoint.
 
     Returns:
         The outputs. Derivatives of integer outputs are zero, and those of outputs
@@ -63,11 +70,16 @@ def differentiable(
         if live:
             rows, row_shape = jax.tree.flatten(jax.lax.stop_gradient(record))
             known = _Known(inputs_of, moves, row_shape, shape)
-            replay = _Replay(solve, known, checkpoints, pull)
+            replay = _Replay(solve, known, checkpoints, push, pull)
             unreached = [jnp.isnan(value) for value in values]
             residuals = [*primals, *rows, *unreached]
             values_dot = linear_call(
-                replay.forward, replay.backward, residuals, live, _sizes(values)
+                replay.forward,
+                replay.backward,
+                residuals,
+                live,
+                _sizes(values),
+                many=None if push is None else replay.forward_many,
             )
         else:
             values_dot = [jnp.zeros_like(x) for x in values]
@@ -111,9 +123,23 @@ class _Replay(NamedTuple):
     solve: Solve
     known: _Known
     checkpoints: int
+    push: Callable | None
     pull: Callable | None
 
+    def forward_many(self, residuals, tangents) -> list[Array]:
+        """Along tangents with an axis in front."""
+        assert self.push is not None
+        inputs_of, varied, record, unreached = self.known.read(residuals)
+        moved = self.push(inputs_of, varied, record, list(tangents))
+        return [
+            jnp.where(u[None], jnp.nan, m)
+            for u, m in zip(unreached, moved, strict=True)
+        ]
+
     def forward(self, residuals, tangents) -> list[Array]:
+        if self.push is not None:
+            one = self.forward_many(residuals, [t[None] for t in tangents])
+            return [moved[0] for moved in one]
         inputs_of, varied, record, unreached = self.known.read(residuals)
         outputs_of = self._outputs(inputs_of, record, dfx.ForwardMode())
         moved = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
@@ -155,11 +181,14 @@ _linear_p = Primitive("rollkane_linear")
 _linear_p.multiple_results = True
 
 
-def linear_call(forward, backward, residuals, operands, outputs) -> list[Array]:
+def linear_call(
+    forward, backward, residuals, operands, outputs, many=None
+) -> list[Array]:
     """Call ``forward(residuals, operands)``, linear in the operands.
 
     ``backward(residuals, cotangents)`` is its transpose; ``outputs`` are the shapes and
-    dtypes of what it gives, so that nothing is traced to find them.
+    dtypes of what it gives, so that nothing is traced to find them. ``many``, if given,
+    is ``forward`` for operands with an axis in front.
     """
     return _linear_p.bind(
         *residuals,
@@ -168,6 +197,7 @@ def linear_call(forward, backward, residuals, operands, outputs) -> list[Array]:
         backward=backward,
         count=len(residuals),
         outputs=outputs,
+        many=many,
     )
 
 
@@ -176,8 +206,8 @@ def _sizes(arrays) -> tuple[ShapedArray, ...]:
 
 
 @_linear_p.def_impl
-def _run(*args, forward, backward, count, outputs):
-    del backward, outputs
+def _run(*args, forward, count, **parameters):
+    del parameters
     return list(forward(args[:count], args[count:]))
 
 
@@ -198,7 +228,8 @@ def _jvp(primals, tangents, *, count, **parameters):
     return outputs, linear
 
 
-def _transpose(cotangents, *args, forward, backward, count, outputs):
+def _transpose(cotangents, *args, forward, backward, count, outputs, many):
+    del many  # the transpose is pulled one at a time
     residuals, operands = args[:count], args[count:]
     filled = [
         jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c
@@ -210,7 +241,7 @@ def _transpose(cotangents, *args, forward, backward, count, outputs):
     return [None] * count + list(result)
 
 
-def _batch(args, axes, *, forward, backward, count, outputs):
+def _batch(args, axes, *, forward, backward, count, outputs, many):
     size = next(a.shape[d] for a, d in zip(args, axes, strict=True) if d is not None)
     operands = [
         batching.bdim_at_front(a, d, size)
@@ -218,8 +249,9 @@ def _batch(args, axes, *, forward, backward, count, outputs):
     ]
     in_axes = (list(axes[:count]), 0)
     batched = tuple(ShapedArray((size, *o.shape), o.dtype) for o in outputs)
+    alone = many is None or any(axis is not None for axis in axes[:count])
     results = linear_call(
-        _mapped(forward, in_axes),
+        _mapped(forward, in_axes) if alone else many,
         _mapped(backward, in_axes),
         args[:count],
         operands,

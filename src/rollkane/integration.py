@@ -16,17 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from . import replay
 from .checks import FieldError, is_traced, real
 from .coordinates import pack, unpack
 from .differentiate import differentiable
 from .keeping import Keeping
+from .replay import RECORDED_STEPS, Run, Steps
 from .steps import Landings, LandOn, ReplaySteps, first_step, landings
+from .tableau import is_plain, weights_of
 from .trajectory import Code
 
-# Reverse mode keeps this many states (about 0.3 kB each) before it recomputes parts.
+# Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
 _CHECKPOINTS = 4096
-# Steps that a derivative can follow: the record takes 8 bytes a step.
-_RECORDED_STEPS = 2**16
 # A run that creeps towards a singular place must end: a minute at the slowest.
 UNRECORDED_STEPS = 2**22
 
@@ -166,7 +167,8 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     atol = atol * jnp.where(by_size, sizes, 1.0)
     inputs = (model, y0, fixed_times, rtol, atol, dt0)
     if plan.adjoint is None:
-        solution = differentiable(solve, inputs, _CHECKPOINTS)
+        by_steps = _by_steps(plan, rates) if _plain(plan, times) else (None, None)
+        solution = differentiable(solve, inputs, _CHECKPOINTS, *by_steps)
     else:
         solution = solve(inputs, None, plan.adjoint)[0]
     y = solution.y
@@ -205,7 +207,7 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
         jumps = _landings(model, times, plan).jumps
-        controller = ReplaySteps(times=replay, jumps=jumps, rtol=rtol, atol=atol)
+        controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
         dt0 = None
     else:
         controller = plan.controller or _landing(model, times, rtol, atol, plan)
@@ -220,7 +222,7 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     if max_steps is None:
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
-        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
+        max_steps = RECORDED_STEPS if bounded else UNRECORDED_STEPS
     solution = dfx.diffeqsolve(
         dfx.ODETerm(rates),
         plan.solver,
@@ -248,7 +250,39 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         steps=solution.stats["num_accepted_steps"],
         rejected_steps=solution.stats["num_rejected_steps"],
     )
-    return outcome, record[0] if recording else None
+    return outcome, (record[0], outcome.steps) if recording else None
+
+
+def _plain(plan: _Plan, times) -> bool:
+    """Whether a run is nothing but its steps, and outputs at their ends."""
+    ends = plan.controller is None or times.shape[0] == 2
+    return is_plain(plan.solver) and plan.saveat is None and ends
+
+
+def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
+    """Derivatives of a plain run along its steps; see :func:`differentiable`."""
+    weights = weights_of(plan.solver, "a run")
+
+    def run_of(inputs_of, varied, record):
+        along = lambda t, y, *varied: rates(t, y, inputs_of(varied)[0])
+        start = lambda *varied: inputs_of(varied)[1]
+        model, _, times, *_ = inputs_of(varied)
+        begun, count = record
+        steps = Steps.of(begun, count, times, _landings(model, times, plan).jumps)
+        return Run(along, start, varied, weights), steps
+
+    def push(inputs_of, varied, record, tangents):
+        run, steps = run_of(inputs_of, varied, record)
+        behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
+        y, final_y = (jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind))
+        time = jnp.zeros(y.shape[:2], y.dtype)
+        return [time, y, time[:, 0], final_y]  # as in _Solution
+
+    def pull(inputs_of, varied, record, asked):
+        run, steps = run_of(inputs_of, varied, record)
+        return replay.pull(run, steps, asked.y, asked.final_y)
+
+    return push, pull
 
 
 def _landing(

@@ -17,10 +17,7 @@ from .numberwise import NotElementwiseError
 from .rolling import rolling_derivative
 from .rolling_run import code_by_margin, corners, error_sizes, has_margin
 from .steps import first_step, landings
-from .tableau import weights_of
-
-# those whose steps are their tableau and nothing else
-_PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
+from .tableau import PLAIN, is_plain, weights_of
 
 
 class NotForLanesError(Exception):
@@ -58,8 +55,8 @@ class LaneBlocks:
         Raises:
             NotForLanesError: with the reason.
         """
-        if type(solver) not in _PLAIN:
-            known = ", ".join(kind.__name__ for kind in _PLAIN)
+        if not is_plain(solver):
+            known = ", ".join(kind.__name__ for kind in PLAIN)
             raise NotForLanesError(f"{type(solver).__name__} is none of {known}")
         scene, start = members.example()
         self.like = jax.tree.map(_shape_of, start)
@@ -121,25 +118,47 @@ class LaneBlocks:
         Returns:
             Packed states at the times, shape (M, T, n), and all results.
         """
-        y0, sizes, first_steps = self._prepared(starts, count)
-        y0 = np.asarray(y0)
+        axes = self._members.axes()[1]
+        span = np.abs(self._times[-1] - self._times[0])
+        prepared = [np.asarray(x) for x in _prepared(axes, count, starts, span)]
+        own, shared = [np.zeros((count, 0))], [np.zeros(0)]
         leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
-        own, shared = [np.zeros((len(y0), 0))], [np.zeros(0)]
         for leaf, axis in leaves:
             leaf = np.asarray(leaf)
             if axis is None:
                 shared.append(leaf.reshape(-1))
             else:
-                own.append(leaf.reshape(len(y0), -1))
-        scale = np.asarray(sizes) if self._by_size else np.ones_like(y0)
+                own.append(leaf.reshape(count, -1))
+        numbers = np.concatenate(own, axis=1), np.concatenate(shared)
+        return self._integrated(scene, *prepared, *numbers)
+
+    def run_alone(
+        self, scene: Any, shared: np.ndarray, start: Any
+    ) -> tuple[np.ndarray, Results]:
+        """Integrate an only member.
+
+        Args:
+            scene: Its scene.
+            shared: All numbers of the scene.
+            start: Its start.
+
+        Returns:
+            As :meth:`run`, with M = 1.
+        """
+        span = np.abs(self._times[-1] - self._times[0])
+        prepared = [np.asarray(x)[None] for x in _prepared_alone(start, span)]
+        return self._integrated(scene, *prepared, np.zeros((1, 0)), shared)
+
+    def _integrated(self, scene, y0, sizes, first_steps, own, shared):
+        scale = sizes if self._by_size else np.ones_like(y0)
         sense = -1.0 if self._times[-1] < self._times[0] else 1.0
         eps = np.finfo(y0.dtype).eps
         queue = Queue(
             starts=y0,
             atol=float(self._atol) * scale,
-            first_steps=np.asarray(first_steps),
-            own=np.concatenate(own, axis=1),
-            shared=np.concatenate(shared),
+            first_steps=first_steps,
+            own=own,
+            shared=shared,
             time=sense * float(self._times[0]),
             rtol=float(self._rtol),
             dtmin=float(10 * eps * max(abs(self._times[0]), abs(self._times[-1]))),
@@ -155,14 +174,6 @@ class LaneBlocks:
     def states(self, y: Any) -> Any:
         """States of packed numbers; every array with the same axes in front."""
         return unpack(y, self.like)
-
-    def _prepared(self, starts: Any, count: int) -> tuple[Any, Any, Any]:
-        """Packed starts, sizes of their numbers, and first steps [s]."""
-        span = np.abs(self._times[-1] - self._times[0])
-        if self._members.count == 1:
-            y, sizes, step = _prepared_one(jax.tree.map(lambda x: x[0], starts), span)
-            return np.asarray(y)[None], np.asarray(sizes)[None], np.asarray(step)[None]
-        return _prepared(self._members.axes()[1], count, starts, span)
 
     def _code(self, scene: Any, results: Results) -> np.ndarray:
         """The codes, once Painleve's paradox is told from other small steps."""
@@ -228,7 +239,7 @@ def _readied(start: Any, span: Any) -> tuple[Any, Any, Any]:
     return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
 
 
-_prepared_one = jax.jit(_readied)  # eqx.filter_jit would cost 0.1 ms a call more
+_prepared_alone = jax.jit(_readied)  # eqx.filter_jit would cost 0.1 ms a call more
 
 
 @eqx.filter_jit

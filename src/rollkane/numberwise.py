@@ -8,6 +8,7 @@ or one falls away, and only arithmetic is left: 217 operations on numbers instea
 equations on arrays for a disc on a plane.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +16,8 @@ from typing import Any
 import jax
 import numpy as np
 from jax.extend import core
+
+from .checks import is_traced
 
 # of one or more numbers gives one number, whatever the shape
 _ELEMENTWISE = frozenset(
@@ -76,9 +79,11 @@ class Program:
 
     Attributes:
         outputs: Shapes and types of the outputs, in order of leaves.
+        size: How many numbers it is given, those that it closes over included.
     """
 
     outputs: list[jax.ShapeDtypeStruct]
+    size: int
 
     def __init__(self, function: Callable, *arguments: Any):
         """Trace a function.
@@ -91,6 +96,8 @@ class Program:
         self.outputs = [
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]
+        known = *self._closed.in_avals, *self._closed.consts
+        self.size = sum(math.prod(x.shape) for x in known)
 
     def __call__(self, values: list[Numbers], operate: Operate) -> list[Numbers]:
         """Outputs for the numbers of the arguments' leaves, both in order of leaves.
@@ -109,12 +116,23 @@ class Program:
 
 
 def numbers_of(array: Any) -> Numbers:
-    """The numbers of a NumPy array, as objects."""
+    """The numbers of an array, as objects: NumPy scalars, or JAX's if it is traced."""
+    if is_traced(array):
+        flat = jax.numpy.reshape(array, -1)
+        return as_objects(jax.numpy.unstack(flat) if flat.size else (), array.shape)
     array = np.asarray(array)
     numbers = np.empty(array.shape, object)
     for index in np.ndindex(array.shape):
         numbers[index] = array[index]
     return numbers
+
+
+def as_objects(values: Any, shape: tuple[int, ...]) -> Numbers:
+    """Values in order as an array of objects: NumPy would look into them."""
+    numbers = np.empty(len(values), object)
+    for i, value in enumerate(values):
+        numbers[i] = value
+    return numbers.reshape(shape)
 
 
 class _Walk:
@@ -151,6 +169,9 @@ class _Walk:
         if name == "split":
             cuts = np.cumsum(params["sizes"])[:-1]
             return np.split(inputs[0], cuts, params["axis"])
+        if name == "unstack":
+            rows = np.moveaxis(inputs[0], params["axis"], 0)
+            return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
         if name == "dot_general" and not any(params["dimension_numbers"][1]):
             a, b = inputs
             return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]

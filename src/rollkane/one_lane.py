@@ -18,15 +18,22 @@ from .trajectory import Trajectory
 
 
 class _Call:
-    """Arguments of a run, equal to those of another of the same kind."""
+    """Arguments of a run, equal to those of another of the same kind.
+
+    Attributes:
+        arguments: As they were given.
+        numbers: All of the scene, in order of leaves.
+    """
 
     def __init__(self, scene, start, times, rtol, atol, solver, max_steps):
-        leaves, tree = jax.tree.flatten((scene, start))
-        kinds = tuple((x.shape, x.dtype) for x in leaves)
-        zeros = tuple((np.asarray(x) == 0).tobytes() for x in jax.tree.leaves(scene))
+        leaves, tree = jax.tree.flatten(scene)
+        begun, like = jax.tree.flatten(start)
         self.arguments = scene, start, times, rtol, atol, solver, max_steps
+        self.numbers = np.concatenate([np.asarray(x).ravel() for x in leaves])
         self.kind = (
-            *(tree, kinds, zeros, times.tobytes(), times.dtype),
+            *(tree, like, tuple((x.shape, x.dtype) for x in (*leaves, *begun))),
+            # the compiled loop leaves out what is zero
+            *((self.numbers == 0).tobytes(), times.tobytes(), times.dtype),
             *(rtol, atol, type(solver), max_steps),  # solvers are known by their type
         )
 
@@ -83,8 +90,7 @@ def in_one_lane(
     # the times of corners are numbers of the scene: planned anew
     plan = _found_again if corners(scene)[0] is None else _planned
     loop = plan(call)
-    starts = jax.tree.map(lambda x: np.asarray(x)[None], start)
-    y, results = loop.run(scene, starts, 1)
+    y, results = loop.run_alone(scene, call.numbers, start)
     parts: Any = (
         *(times, loop.states(y[0]), scene, results.code[0], results.final_time[0]),
         *(loop.states(results.final_y[0]), results.steps[0]),

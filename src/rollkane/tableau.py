@@ -9,6 +9,14 @@ from jaxtyping import Array, Float
 
 from .checks import FieldError
 
+# those whose steps are their tableau and nothing else
+PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
+
+
+def is_plain(solver: Any) -> bool:
+    """Whether a step of a diffrax solver is its tableau and nothing else."""
+    return type(solver) in PLAIN
+
 
 class Weights(NamedTuple):
     """An explicit method whose last stage is the end of its step, as plain numbers.

@@ -33,7 +33,7 @@ def test_rollkane_commands_exist():
     assert set(said) <= set(main.commands)
 
 
-def test_python_examples_run():
+def test_python_examples_run(tmp_path):
     """Each block is a program of its own; x64 is set inside, as a reader would."""
     examples = [
         *blocks("python"),
@@ -45,7 +45,7 @@ def test_python_examples_run():
             [sys.executable, "-W", "error", "-c", example],
             capture_output=True,
             text=True,
-            cwd=ROOT,
+            cwd=tmp_path,  # some of them write files
             check=False,
         )
         assert run.returncode == 0, run.stderr

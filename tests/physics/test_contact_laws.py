@@ -139,7 +139,7 @@ def twin(scene, t, state, force, moment):
     return rates.u[:-2], jax.jvp(slip_of, (t, own.q, along), moved)[1]
 
 
-FAST = {"rubber, dry resistance", "Stribeck, dry resistance"}
+FAST = {"Stribeck, dry resistance"}
 
 
 @pytest.mark.parametrize(

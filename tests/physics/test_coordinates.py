@@ -67,7 +67,9 @@ def ball_in_sphere():
 SCENES = {"bowl": in_bowl, "disc": upright_disc, "sphere": ball_in_sphere}
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name", ["bowl", "disc", pytest.param("sphere", marks=pytest.mark.slow)]
+)
 def test_same_motion(name):
     scene, start = SCENES[name]()
     free = rk.simulate(scene, start, TIMES, rtol=RTOL)

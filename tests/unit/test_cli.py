@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import math
 import os
 import subprocess
 import sys
@@ -124,8 +125,11 @@ def test_check(folder):
     assert "ball.toml: good (a ball on a ball; 21 outputs over 1 s)" in result.output
 
 
-def test_simulate_writes_everything(folder):
+def test_simulate_writes_everything(folder, monkeypatch):
     import xarray
+
+    # on a machine however slow, the second run is made that tells compiling apart
+    monkeypatch.setattr("rollkane.cli._SHORT", math.inf)
 
     targets = {
         "--out": "run.nc",

@@ -1,0 +1,304 @@
+"""Tangents and cotangents of a run along the steps that it took.
+
+An explicit Runge-Kutta step is arithmetic on rates, so its derivative is the same step
+for the tangents, and its transpose the same step backwards. Written out, both cost a
+fraction of what differentiating the integrator's loop costs.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from .tableau import Weights
+from .tangent_rows import pushed
+
+# The way back keeps this many states (about 0.1 kB each), spread over the run; between
+# two of them at most that many steps are taken again.
+_KEPT_STATES = 4096
+_STEPS_BETWEEN = 16
+RECORDED_STEPS = _KEPT_STATES * _STEPS_BETWEEN
+
+
+class Steps(NamedTuple):
+    """Recorded steps; time runs forwards in them.
+
+    Attributes:
+        record: Where steps began, and the last one ended [s], shape (n,); any numbers
+            behind.
+        count: How many there are.
+        sense: 1, or -1 where the run went backwards in time.
+        outputs: Times of outputs [s], in order, shape (T,).
+        jumps: Times of jumps [s] before which steps end, behind which they begin; None
+            for none.
+    """
+
+    record: Float[Array, " n"]
+    count: Array
+    sense: Array
+    outputs: Float[Array, " T"]
+    jumps: Float[Array, " k"] | None
+
+    @staticmethod
+    def of(record: Float[Array, " n"], count: Array, times, jumps) -> "Steps":
+        """Of a record and a count of steps, the times of outputs and of jumps [s]."""
+        sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+        jumps = None if jumps is None else sense * jumps
+        return Steps(record, count, sense, sense * times, jumps)
+
+    def span(self, i: Array) -> tuple[Array, Array, Array]:
+        """Where a step begins, where it ends and where the next one begins [s]."""
+        begin, following = self.sense * self.record[i], self.sense * self.record[i + 1]
+        if self.jumps is None:
+            return begin, following, following
+        at = jnp.nextafter(following, -jnp.inf)
+        end = jnp.nextafter(at, -jnp.inf)
+        return begin, jnp.where(jnp.any(at == self.jumps), end, following), following
+
+    def shows(self, i: Array, output: Array) -> Bool[Array, ""]:
+        """Whether an output lies at the end of a step."""
+        last = self.outputs.shape[0] - 1
+        time = self.outputs[jnp.clip(output, 0, last)]
+        _, end, following = self.span(i)
+        lies = (end <= time) & (time <= following)
+        return lies & (output >= 0) & (output <= last) & (i < self.count)
+
+    @property
+    def turns(self) -> Array:
+        """How many steps a loop takes: the same for all lanes of a batch.
+
+        One that is done stands still until the others are. So the loop's counter is
+        one number, and writing a row of an array does not become a scatter.
+        """
+        return _most(self.count)
+
+
+@jax.custom_batching.custom_vmap
+def _most(x: Array) -> Array:
+    """A whole number, in a batch the largest."""
+    return x
+
+
+@_most.def_vmap
+def _most_of_batch(size, batched, x):
+    del size
+    return _most(jnp.max(x) if batched[0] else x), False
+
+
+def _if_any(flag: Array, change: Callable, x: Array) -> Array:
+    """An array, changed where a flag of the batch is set; ``change`` minds its own."""
+    return jax.lax.cond(_most(flag.astype(int)) > 0, change, lambda x: x, x)
+
+
+class Run(NamedTuple):
+    """What is differentiated.
+
+    Attributes:
+        rates: ``rates(t, y, *varied)`` -> rates of the numbers of a state, shape (n,).
+        start: ``start(*varied)`` -> numbers of the state at the first time.
+        varied: What both depend on.
+        weights: Of the method.
+    """
+
+    rates: Callable
+    start: Callable
+    varied: list[Array]
+    weights: Weights
+
+    def stages(self, steps: Steps, i: Array) -> "_Stages":
+        """The stages of a step."""
+        begin, end, _ = steps.span(i)
+        nodes = np.concatenate([[0.0], self.weights.nodes])[: self.count]
+        share = jnp.asarray(nodes, begin.dtype)
+        times = jnp.where(share == 1.0, end, begin + share * (end - begin))
+        rows = np.zeros((self.count + 1, self.count))
+        for m, row in enumerate(self.weights.rows, start=1):
+            rows[m, :m] = row
+        length = steps.sense * (end - begin)
+        return _Stages(steps.sense * times, length * jnp.asarray(rows, begin.dtype))
+
+    @property
+    def count(self) -> int:
+        """How many rates a step is made of."""
+        return len(self.weights.rows)
+
+
+class _Stages(NamedTuple):
+    """Times of a step's stages, and weights times its length, those of its end last."""
+
+    times: Float[Array, " s"]
+    weights: Float[Array, "s+1 s"]
+
+
+def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
+    """Changes of the states along some tangents.
+
+    Args:
+        run: What is differentiated.
+        steps: That it took.
+        tangents: Of what is varied, each with an axis of length P behind.
+
+    Returns:
+        Changes of the states at the outputs, shape (T, n, P), NaN where no step ended
+        on them, and of the last state, shape (n, P).
+    """
+
+    def field(t, state):
+        primals, moved = [state[0], *run.varied], [state[1], *tangents]
+        return pushed(lambda y, *varied: run.rates(t, y, *varied), primals, moved)
+
+    def one(i, carry):
+        output, state, shown = carry
+        state = _where(
+            i < steps.count, _stepped(field, run.stages(steps, i), state), state
+        )
+        shows = steps.shows(i, output)
+        at = jnp.minimum(output, shown.shape[0] - 1)
+        put = lambda shown: shown.at[at].set(jnp.where(shows, state[1], shown[at]))
+        return output + jnp.where(shows, 1, 0), state, _if_any(shows, put, shown)
+
+    state = pushed(run.start, run.varied, tangents)
+    size = steps.outputs.shape[0], *state[1].shape
+    shown = jnp.full(size, jnp.nan, state[1].dtype).at[0].set(state[1])
+    _, state, shown = _counted(steps.turns, one, (jnp.asarray(1), state, shown))
+    return shown, state[1]
+
+
+def _where(flag: Array, new: Any, old: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), new, old)
+
+
+def _stepped(field: Callable, stages: _Stages, state: Any) -> Any:
+    """Behind a step."""
+    rates = _rates(field, stages, state)
+    return jax.tree.map(lambda y, k: y + _mixed(stages.weights[-1], k), state, rates)
+
+
+def _rates(field: Callable, stages: _Stages, state: Any) -> Any:
+    """Rates at all stages of a step."""
+    count = stages.times.shape[0]
+
+    def stage(m, rates):
+        row = stages.weights[m]
+        moved = jax.tree.map(lambda y, k: y + _mixed(row, k), state, rates)
+        found = field(stages.times[m], moved)
+        return jax.tree.map(lambda k, f: k.at[m].set(f), rates, found)
+
+    empty = lambda y: jnp.zeros((count, *y.shape), y.dtype)
+    return jax.lax.fori_loop(0, count, stage, jax.tree.map(empty, state))
+
+
+def _mixed(weights: Float[Array, " s"], rates: Array) -> Array:
+    """A sum over stages; a product of matrices would be a call to a library."""
+    spread = weights.reshape(-1, *[1] * (rates.ndim - 1))
+    return jnp.sum(spread * rates, axis=0)
+
+
+def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]:
+    """Cotangents of what is varied.
+
+    Args:
+        run: What is differentiated.
+        steps: That it took.
+        asked: Cotangents of the states at the outputs, shape (T, n).
+        asked_last: Of the last state, shape (n,).
+
+    Returns:
+        A cotangent for each of what is varied; NaN if one is asked of an output on
+        which no step ended.
+    """
+    turns = steps.turns
+    between = jnp.maximum((turns + _KEPT_STATES - 1) // _KEPT_STATES, 1)
+    kept, reached = _kept(run, steps, between)
+    field = lambda t, y: run.rates(t, y, *run.varied)
+
+    def segment(n, carry):
+        first = (segments - 1 - n) * between
+        here = jnp.minimum(between, turns - first)
+
+        def again(j, states):
+            ahead = _stepped(field, run.stages(steps, first + j), states[j])
+            return states.at[j + 1].set(ahead)
+
+        room = jnp.zeros((_STEPS_BETWEEN, *asked_last.shape), asked_last.dtype)
+        states = _counted(here - 1, again, room.at[0].set(kept[segments - 1 - n]))
+
+        def one(j, carry):
+            output, back, moved = carry
+            j = here - 1 - j
+            i = first + j
+            shows = steps.shows(i, output)
+            back = back + jnp.where(shows, asked[jnp.maximum(output, 0)], 0.0)
+            pulled_back = _pulled_step(run, run.stages(steps, i), states[j], back)
+            own = pulled_back[0], jax.tree.map(jnp.add, moved, pulled_back[1])
+            back, moved = _where(i < steps.count, own, (back, moved))
+            return output - jnp.where(shows, 1, 0), back, moved
+
+        return _counted(here, one, carry)
+
+    none = [jnp.zeros_like(x) for x in run.varied]
+    segments = (turns + between - 1) // between
+    carry = reached - 1, asked_last, none
+    _, back, moved = _counted(segments, segment, carry)
+    own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
+    behind = jnp.arange(asked.shape[0]) >= reached
+    lost = jnp.any(behind[:, None] & (asked != 0.0))
+    return [jnp.where(lost, jnp.nan, a + b) for a, b in zip(moved, own, strict=True)]
+
+
+def _counted(count: Array, body: Callable, carry: Any) -> Any:
+    """A loop over the first so many whole numbers."""
+    more = lambda c: c[0] < count
+    step = lambda c: (c[0] + 1, body(*c))
+    return jax.lax.while_loop(more, step, (jnp.asarray(0), carry))[1]
+
+
+def _kept(run: Run, steps: Steps, between: Array) -> tuple[Array, Array]:
+    """Take the steps once more.
+
+    Returns:
+        States with so many steps between them, and how many outputs were reached.
+    """
+    field = lambda t, y: run.rates(t, y, *run.varied)
+
+    def one(i, carry):
+        y, kept, output = carry
+        at = i // between
+        kept = kept.at[at].set(jnp.where(i == at * between, y, kept[at]))
+        y = _where(i < steps.count, _stepped(field, run.stages(steps, i), y), y)
+        return y, kept, output + jnp.where(steps.shows(i, output), 1, 0)
+
+    y = run.start(*run.varied)
+    kept = jnp.zeros((_KEPT_STATES, *y.shape), y.dtype)
+    _, kept, output = _counted(steps.turns, one, (y, kept, jnp.asarray(1)))
+    return kept, output
+
+
+def _pulled_step(run: Run, stages: _Stages, y: Array, back: Array):
+    """Cotangents of a step's beginning and of what is varied.
+
+    With rates ``k_m = f(y + sum_j a_mj k_j)`` and the end ``y + sum_m b_m k_m``, the
+    one of a rate is ``b_m back + sum_j a_jm g_j``, where ``g_j`` is that of the stage
+    j behind it; the one of y is the sum of all ``g`` and ``back``.
+    """
+    field = lambda t, y: run.rates(t, y, *run.varied)
+    rates = _rates(field, stages, y)
+    count = run.count
+
+    def stage(n, carry):
+        found, moved = carry
+        m = count - 1 - n
+        t = stages.times[m]
+        asked = stages.weights[-1, m] * back + _mixed(stages.weights[:-1, m], found)
+        place = y + _mixed(stages.weights[m], rates)
+        function = lambda y, *varied: run.rates(t, y, *varied)
+        g, *own = jax.vjp(function, place, *run.varied)[1](asked)
+        return found.at[m].set(g), [a + b for a, b in zip(moved, own, strict=True)]
+
+    none = [jnp.zeros_like(x) for x in run.varied]
+    carry = jnp.zeros_like(rates), none
+    found, moved = jax.lax.fori_loop(0, count, stage, carry)
+    return back + jnp.sum(found, axis=0), moved

@@ -1,0 +1,122 @@
+"""Tangents and cotangents along recorded steps, against a plain loop over the steps."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from rollkane import replay
+from rollkane.replay import Run, Steps
+from rollkane.tableau import weights_of
+
+WEIGHTS = weights_of(dfx.Bosh3(), "a test")
+# of uneven length, with a jump behind the third step and a padded end
+AT = 0.55
+BEGINS = np.array([0.0, 0.1, 0.25, np.nextafter(AT, 1.0), 0.7, 1.0])
+ENDS = np.array([0.1, 0.25, np.nextafter(AT, 0.0), 0.7, 1.0])
+RECORD = jnp.asarray(np.append(BEGINS, [np.inf, np.inf]))
+TIMES = jnp.asarray([0.0, 0.25, AT, 1.0])
+START, PULL = jnp.asarray([0.4, -0.3]), jnp.asarray([9.0, 0.7])
+# a step's rounding, a few times over
+ROUNDING = {"rtol": 1e-13, "atol": 1e-14}
+
+
+def rates(t, y, start, pull):
+    """A pendulum with friction, pushed more from the jump on."""
+    del start
+    push = jnp.where(t >= AT, 2.0, 1.0) * jnp.cos(3.0 * t)
+    return jnp.stack([y[1], -pull[0] * jnp.sin(y[0]) - pull[1] * y[1] + push])
+
+
+def states(start, pull, begins=BEGINS, ends=ENDS):
+    """States behind every step."""
+    y, found = start, [start]
+    for begin, end in zip(begins, ends, strict=False):
+        k = [rates(jnp.asarray(begin), y, start, pull)]
+        for row, node in zip(WEIGHTS.rows[:-1], WEIGHTS.nodes, strict=False):
+            t = end if node == 1.0 else begin + node * (end - begin)
+            moved = y + (end - begin) * sum(a * b for a, b in zip(row, k, strict=True))
+            k.append(rates(jnp.asarray(t), moved, start, pull))
+        last = zip(WEIGHTS.rows[-1], k, strict=True)
+        y = y + (end - begin) * sum(a * b for a, b in last)
+        found.append(y)
+    return jnp.stack(found)
+
+
+EXACT = jax.jacfwd(lambda *x: states(*x)[jnp.array([0, 2, 3, 5])], (0, 1))(START, PULL)
+
+
+def run_and_steps(count=5, record=RECORD, times=TIMES):
+    run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
+    return run, Steps.of(record, jnp.asarray(count), times, jnp.asarray([AT]))
+
+
+@jax.jit
+def tangents(moved):
+    return replay.push(*run_and_steps(), moved)
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_tangents(many):
+    # one, or four at once: along each of the four numbers
+    unit = [jnp.eye(4)[:2], jnp.eye(4)[2:]]
+    if many:
+        shown, last = tangents(unit)
+    else:
+        parts = [tangents([x[:, i : i + 1] for x in unit]) for i in range(4)]
+        shown, last = (jnp.concatenate(x, axis=-1) for x in zip(*parts, strict=True))
+    np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
+    np.testing.assert_array_equal(last, shown[-1])
+
+
+@pytest.mark.parametrize("kept", [4096, 2])
+def test_cotangents(kept, monkeypatch):
+    # with two kept states, three steps have to be taken again from one of them
+    monkeypatch.setattr(replay, "_KEPT_STATES", kept)
+    asked = jnp.asarray(np.random.default_rng(0).normal(size=(4, 2)))
+    last = jnp.asarray([0.3, -0.8])
+    found = jax.jit(lambda a, b: replay.pull(*run_and_steps(), a, b))(asked, last)
+    for part, exact in zip(found, EXACT, strict=True):
+        wanted = jnp.einsum("tn,tnp->p", asked.at[-1].add(last), exact)
+        np.testing.assert_allclose(part, wanted, **ROUNDING)
+
+
+def test_lanes_of_a_batch_take_their_own_steps():
+    asked = jnp.zeros((4, 2)).at[1].set(1.0)
+    longer = jnp.asarray([2, 5])
+
+    def one(count):
+        run, steps = run_and_steps(count)
+        last = jnp.asarray([1.0, 0.0])
+        moved = [jnp.eye(4)[:2, :1], jnp.eye(4)[2:, :1]]
+        return replay.pull(run, steps, asked, last), replay.push(run, steps, moved)
+
+    together = jax.jit(jax.vmap(one))(longer)
+    for i, count in enumerate((2, 5)):
+        alone = jax.jit(one)(jnp.asarray(count))
+        for a, b in zip(*map(jax.tree.leaves, (together, alone)), strict=True):
+            np.testing.assert_allclose(a[i], b, **ROUNDING)
+
+
+def test_an_output_between_two_steps_has_no_quiet_derivative():
+    times = TIMES.at[1].set(0.3)
+    run, steps = run_and_steps(times=times)
+    shown, last = replay.push(run, steps, [jnp.ones((2, 1)), jnp.ones((2, 1))])
+    assert jnp.all(jnp.isnan(shown[1]))
+    assert jnp.all(jnp.isfinite(last))
+    asked = jnp.zeros((4, 2))
+    for row, lost in ((1, True), (0, False)):
+        found = replay.pull(run, steps, asked.at[row].set(1.0), jnp.zeros(2))
+        assert bool(jnp.all(jnp.isnan(found[0]))) is lost
+
+
+def test_backwards_in_time():
+    # the way back of a recorded run: its steps in reverse order, without the jump
+    record = RECORD[:6][::-1].at[2].set(AT)
+    run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
+    times = jnp.asarray([1.0, 0.0])
+    steps = Steps.of(record, jnp.asarray(5), times, None)
+    exact = jax.jacfwd(lambda x: states(x, PULL, record[:-1], record[1:])[-1])(START)
+    found = replay.pull(run, steps, jnp.zeros((2, 2)), jnp.asarray([1.0, 0.0]))[0]
+    np.testing.assert_allclose(found, exact[0], **ROUNDING)
