@@ -120,7 +120,7 @@ class LaneBlocks:
         """
         axes = self._members.axes()[1]
         span = np.abs(self._times[-1] - self._times[0])
-        prepared = [np.asarray(x) for x in _prepared(axes, count, starts, span)]
+        y0, sizes, steps = map(np.asarray, _prepared(axes, count, starts, span))
         own, shared = [np.zeros((count, 0))], [np.zeros(0)]
         leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
         for leaf, axis in leaves:
@@ -129,8 +129,8 @@ class LaneBlocks:
                 shared.append(leaf.reshape(-1))
             else:
                 own.append(leaf.reshape(count, -1))
-        numbers = np.concatenate(own, axis=1), np.concatenate(shared)
-        return self._integrated(scene, *prepared, *numbers)
+        every, each = np.concatenate(shared), np.concatenate(own, axis=1)
+        return self._integrated(scene, y0, sizes, steps, each, every)
 
     def run_alone(
         self, scene: Any, shared: np.ndarray, start: Any
@@ -146,8 +146,8 @@ class LaneBlocks:
             As :meth:`run`, with M = 1.
         """
         span = np.abs(self._times[-1] - self._times[0])
-        prepared = [np.asarray(x)[None] for x in _prepared_alone(start, span)]
-        return self._integrated(scene, *prepared, np.zeros((1, 0)), shared)
+        y0, sizes, step = (np.asarray(x)[None] for x in _prepared_alone(start, span))
+        return self._integrated(scene, y0, sizes, step, np.zeros((1, 0)), shared)
 
     def _integrated(self, scene, y0, sizes, first_steps, own, shared):
         scale = sizes if self._by_size else np.ones_like(y0)

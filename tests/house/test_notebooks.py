@@ -7,16 +7,10 @@ from pathlib import Path
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.py"))
-FIRST = "first_steps"
 
 
-@pytest.mark.parametrize(
-    "notebook",
-    [
-        pytest.param(p, marks=() if p.stem == FIRST else pytest.mark.slow, id=p.stem)
-        for p in NOTEBOOKS
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda p: p.stem)
 def test_notebook_runs(notebook):
     run = subprocess.run(
         [sys.executable, str(notebook)], capture_output=True, text=True, check=False

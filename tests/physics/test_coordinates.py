@@ -68,7 +68,8 @@ SCENES = {"bowl": in_bowl, "disc": upright_disc, "sphere": ball_in_sphere}
 
 
 @pytest.mark.parametrize(
-    "name", ["bowl", "disc", pytest.param("sphere", marks=pytest.mark.slow)]
+    "name",
+    ["bowl", *(pytest.param(n, marks=pytest.mark.slow) for n in ("disc", "sphere"))],
 )
 def test_same_motion(name):
     scene, start = SCENES[name]()

@@ -86,7 +86,14 @@ for f, spin, end in (
 """
 
 
-@pytest.mark.parametrize("setting", [False, True], ids=["plain", "small-loop setting"])
+@pytest.mark.parametrize(
+    "setting",
+    [
+        # what all other tests run with
+        pytest.param(False, id="plain", marks=pytest.mark.slow),
+        pytest.param(True, id="small-loop setting"),
+    ],
+)
 def test_reverse_equals_forward_at_tight_tolerance(setting):
     """To 1e-9 at rtol 1e-12, where a differentiated controller is off by up to 2e-3."""
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}

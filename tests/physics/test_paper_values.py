@@ -81,7 +81,7 @@ def test_chart_data(owner):
     np.testing.assert_allclose([a[0, 1], b[0, 1]], 0.0, atol=1e-14)
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("equations", EQUATIONS)
 def test_accelerations_by_the_paper(sign, equations):
     scene, state = paper.scene_and_state(sign)

@@ -66,7 +66,7 @@ def test_end_of_every_axis(axis, sign, beside):
         assert np.abs(turn - turn2).max() < PROMISE
 
 
-@pytest.mark.parametrize("beside", [0.0, 1e-6])
+@pytest.mark.parametrize("beside", [0.0, pytest.param(1e-6, marks=pytest.mark.slow)])
 def test_bodies_that_carry_their_point(beside):
     """By a direction and as a level set, through the end of the last axis."""
     R = axis_down(2, 1, beside)

@@ -234,6 +234,7 @@ def test_data_set(table, shell):
     assert "coincide" in data.attrs["axes_note"]
 
 
+@pytest.mark.slow
 def test_summary_names_the_energy(turntable, table, shell):
     drift, work = "energy drift", "by the base and forces that do work"
     assert any(drift in line and "moving energy" in line for line in summary(turntable))
