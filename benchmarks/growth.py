@@ -21,7 +21,7 @@ from pathlib import Path
 # the XLA setting that the command line uses, too (docs/speed.md)
 os.environ.setdefault(
     "XLA_FLAGS",
-    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=65536",
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1048576",
 )
 
 import diffrax as dfx

@@ -21,13 +21,15 @@ from .checks import FieldError, is_traced, real
 from .coordinates import pack, unpack
 from .differentiate import differentiable
 from .keeping import Keeping
-from .replay import RECORDED_STEPS, Run, Steps
+from .replay import STEPS_BETWEEN, Run, Steps
 from .steps import Landings, LandOn, ReplaySteps, first_step, landings
 from .tableau import is_plain, weights_of
 from .trajectory import Code
 
 # Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
 _CHECKPOINTS = 4096
+# Steps that a derivative can follow: the record takes 13 bytes a step.
+_RECORDED_STEPS = 2**16
 # A run that creeps towards a singular place must end: a minute at the slowest.
 UNRECORDED_STEPS = 2**22
 
@@ -218,11 +220,13 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     recording = replay is None and adjoint is not None and plan.adjoint is None
     if recording:
         subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: None))
+        if _plain(plan, times):
+            subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
     max_steps = plan.max_steps
     if max_steps is None:
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
-        max_steps = RECORDED_STEPS if bounded else UNRECORDED_STEPS
+        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
     solution = dfx.diffeqsolve(
         dfx.ODETerm(rates),
         plan.solver,
@@ -239,7 +243,7 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         progress_meter=plan.progress_meter,
     )
     time, final_time, *record = cast(list, solution.ts)
-    y, final_y, *_ = cast(list, solution.ys)
+    y, final_y, *kept = cast(list, solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
     outcome = _Solution(
         time=time,
@@ -250,7 +254,7 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         steps=solution.stats["num_accepted_steps"],
         rejected_steps=solution.stats["num_rejected_steps"],
     )
-    return outcome, (record[0], outcome.steps) if recording else None
+    return outcome, (record[0], outcome.steps, kept[-1]) if recording else None
 
 
 def _plain(plan: _Plan, times) -> bool:
@@ -267,8 +271,9 @@ def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
         along = lambda t, y, *varied: rates(t, y, inputs_of(varied)[0])
         start = lambda *varied: inputs_of(varied)[1]
         model, _, times, *_ = inputs_of(varied)
-        begun, count = record
-        steps = Steps.of(begun, count, times, _landings(model, times, plan).jumps)
+        begun, count, kept = record
+        jumps = _landings(model, times, plan).jumps
+        steps = Steps.of(begun, count, kept, times, jumps)
         return Run(along, start, varied, weights), steps
 
     def push(inputs_of, varied, record, tangents):

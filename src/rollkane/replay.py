@@ -16,11 +16,9 @@ from jaxtyping import Array, Bool, Float
 from .tableau import Weights
 from .tangent_rows import pushed
 
-# The way back keeps this many states (about 0.1 kB each), spread over the run; between
-# two of them at most that many steps are taken again.
-_KEPT_STATES = 4096
-_STEPS_BETWEEN = 16
-RECORDED_STEPS = _KEPT_STATES * _STEPS_BETWEEN
+# Steps of one part of the way back: from a recorded state they are taken again, and
+# their stages are kept (1 kB a step).
+STEPS_BETWEEN = 16
 
 
 class Steps(NamedTuple):
@@ -34,6 +32,7 @@ class Steps(NamedTuple):
         outputs: Times of outputs [s], in order, shape (T,).
         jumps: Times of jumps [s] before which steps end, behind which they begin; None
             for none.
+        kept: States where every 16th step began, the first included, shape (m, n).
     """
 
     record: Float[Array, " n"]
@@ -41,13 +40,14 @@ class Steps(NamedTuple):
     sense: Array
     outputs: Float[Array, " T"]
     jumps: Float[Array, " k"] | None
+    kept: Float[Array, "m n"]
 
     @staticmethod
-    def of(record: Float[Array, " n"], count: Array, times, jumps) -> "Steps":
-        """Of a record and a count of steps, the times of outputs and of jumps [s]."""
+    def of(record: Float[Array, " n"], count: Array, kept, times, jumps) -> "Steps":
+        """Of what was recorded, the times of outputs and of jumps [s]."""
         sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
         jumps = None if jumps is None else sense * jumps
-        return Steps(record, count, sense, sense * times, jumps)
+        return Steps(record, count, sense, sense * times, jumps, kept)
 
     def span(self, i: Array) -> tuple[Array, Array, Array]:
         """Where a step begins, where it ends and where the next one begins [s]."""
@@ -210,42 +210,50 @@ def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]
         A cotangent for each of what is varied; NaN if one is asked of an output on
         which no step ended.
     """
-    turns = steps.turns
-    between = jnp.maximum((turns + _KEPT_STATES - 1) // _KEPT_STATES, 1)
-    kept, reached = _kept(run, steps, between)
     field = lambda t, y: run.rates(t, y, *run.varied)
+    turns = steps.turns
+    segments = (turns + STEPS_BETWEEN - 1) // STEPS_BETWEEN
 
     def segment(n, carry):
-        first = (segments - 1 - n) * between
-        here = jnp.minimum(between, turns - first)
+        s = segments - 1 - n
+        first = s * STEPS_BETWEEN
+        here = jnp.minimum(STEPS_BETWEEN, turns - first)
 
-        def again(j, states):
-            ahead = _stepped(field, run.stages(steps, first + j), states[j])
-            return states.at[j + 1].set(ahead)
+        def again(j, carry):
+            y, states, rates = carry
+            stages = run.stages(steps, first + j)
+            found = _rates(field, stages, y)
+            ahead = y + _mixed(stages.weights[-1], found)
+            return ahead, states.at[j].set(y), rates.at[j].set(found)
 
-        room = jnp.zeros((_STEPS_BETWEEN, *asked_last.shape), asked_last.dtype)
-        states = _counted(here - 1, again, room.at[0].set(kept[segments - 1 - n]))
+        size = asked_last.shape
+        states = jnp.zeros((STEPS_BETWEEN, *size), asked_last.dtype)
+        rates = jnp.zeros((STEPS_BETWEEN, run.count, *size), asked_last.dtype)
+        _, states, rates = _counted(here, again, (steps.kept[s], states, rates))
 
         def one(j, carry):
             output, back, moved = carry
             j = here - 1 - j
-            i = first + j
-            shows = steps.shows(i, output)
-            back = back + jnp.where(shows, asked[jnp.maximum(output, 0)], 0.0)
-            pulled_back = _pulled_step(run, run.stages(steps, i), states[j], back)
-            own = pulled_back[0], jax.tree.map(jnp.add, moved, pulled_back[1])
-            back, moved = _where(i < steps.count, own, (back, moved))
+            shows = steps.shows(first + j, output)
+            back = back + jnp.where(shows, asked[output], 0.0)
+            stages = run.stages(steps, first + j)
+            before, own = _pulled_step(run, stages, states[j], rates[j], back)
+            own = jax.tree.map(jnp.add, moved, own)
+            taken = first + j < steps.count
+            back, moved = _where(taken, (before, own), (back, moved))
             return output - jnp.where(shows, 1, 0), back, moved
 
         return _counted(here, one, carry)
 
     none = [jnp.zeros_like(x) for x in run.varied]
-    segments = (turns + between - 1) // between
-    carry = reached - 1, asked_last, none
-    _, back, moved = _counted(segments, segment, carry)
+    end = steps.span(jnp.maximum(steps.count - 1, 0))[2]
+    last_output = jnp.sum(steps.outputs <= end) - 1
+    carry = jnp.maximum(last_output, 0), asked_last, none
+    left, back, moved = _counted(segments, segment, carry)
     own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
-    behind = jnp.arange(asked.shape[0]) >= reached
-    lost = jnp.any(behind[:, None] & (asked != 0.0))
+    passed = jnp.arange(asked.shape[0])
+    passed = (passed > 0) & (passed <= left)
+    lost = jnp.any(passed[:, None] & (asked != 0.0))
     return [jnp.where(lost, jnp.nan, a + b) for a, b in zip(moved, own, strict=True)]
 
 
@@ -256,36 +264,13 @@ def _counted(count: Array, body: Callable, carry: Any) -> Any:
     return jax.lax.while_loop(more, step, (jnp.asarray(0), carry))[1]
 
 
-def _kept(run: Run, steps: Steps, between: Array) -> tuple[Array, Array]:
-    """Take the steps once more.
-
-    Returns:
-        States with so many steps between them, and how many outputs were reached.
-    """
-    field = lambda t, y: run.rates(t, y, *run.varied)
-
-    def one(i, carry):
-        y, kept, output = carry
-        at = i // between
-        kept = kept.at[at].set(jnp.where(i == at * between, y, kept[at]))
-        y = _where(i < steps.count, _stepped(field, run.stages(steps, i), y), y)
-        return y, kept, output + jnp.where(steps.shows(i, output), 1, 0)
-
-    y = run.start(*run.varied)
-    kept = jnp.zeros((_KEPT_STATES, *y.shape), y.dtype)
-    _, kept, output = _counted(steps.turns, one, (y, kept, jnp.asarray(1)))
-    return kept, output
-
-
-def _pulled_step(run: Run, stages: _Stages, y: Array, back: Array):
+def _pulled_step(run: Run, stages: _Stages, y: Array, rates: Array, back: Array):
     """Cotangents of a step's beginning and of what is varied.
 
     With rates ``k_m = f(y + sum_j a_mj k_j)`` and the end ``y + sum_m b_m k_m``, the
     one of a rate is ``b_m back + sum_j a_jm g_j``, where ``g_j`` is that of the stage
     j behind it; the one of y is the sum of all ``g`` and ``back``.
     """
-    field = lambda t, y: run.rates(t, y, *run.varied)
-    rates = _rates(field, stages, y)
     count = run.count
 
     def stage(n, carry):

@@ -47,9 +47,10 @@ def states(start, pull, begins=BEGINS, ends=ENDS):
 EXACT = jax.jacfwd(lambda *x: states(*x)[jnp.array([0, 2, 3, 5])], (0, 1))(START, PULL)
 
 
-def run_and_steps(count=5, record=RECORD, times=TIMES):
+def run_and_steps(count=5, times=TIMES, between=replay.STEPS_BETWEEN):
     run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
-    return run, Steps.of(record, jnp.asarray(count), times, jnp.asarray([AT]))
+    kept = states(START, PULL)[::between]
+    return run, Steps.of(RECORD, jnp.asarray(count), kept, times, jnp.asarray([AT]))
 
 
 @jax.jit
@@ -70,13 +71,14 @@ def test_tangents(many):
     np.testing.assert_array_equal(last, shown[-1])
 
 
-@pytest.mark.parametrize("kept", [4096, 2])
-def test_cotangents(kept, monkeypatch):
-    # with two kept states, three steps have to be taken again from one of them
-    monkeypatch.setattr(replay, "_KEPT_STATES", kept)
+@pytest.mark.parametrize("between", [16, 3, 1])
+def test_cotangents(between, monkeypatch):
+    # all steps from the start, three and two, or every step from a state of its own
+    monkeypatch.setattr(replay, "STEPS_BETWEEN", between)
     asked = jnp.asarray(np.random.default_rng(0).normal(size=(4, 2)))
     last = jnp.asarray([0.3, -0.8])
-    found = jax.jit(lambda a, b: replay.pull(*run_and_steps(), a, b))(asked, last)
+    run, steps = run_and_steps(between=between)
+    found = jax.jit(lambda a, b: replay.pull(run, steps, a, b))(asked, last)
     for part, exact in zip(found, EXACT, strict=True):
         wanted = jnp.einsum("tn,tnp->p", asked.at[-1].add(last), exact)
         np.testing.assert_allclose(part, wanted, **ROUNDING)
@@ -116,7 +118,7 @@ def test_backwards_in_time():
     record = RECORD[:6][::-1].at[2].set(AT)
     run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
     times = jnp.asarray([1.0, 0.0])
-    steps = Steps.of(record, jnp.asarray(5), times, None)
+    steps = Steps.of(record, jnp.asarray(5), START[None], times, None)
     exact = jax.jacfwd(lambda x: states(x, PULL, record[:-1], record[1:])[-1])(START)
     found = replay.pull(run, steps, jnp.zeros((2, 2)), jnp.asarray([1.0, 0.0]))[0]
     np.testing.assert_allclose(found, exact[0], **ROUNDING)
