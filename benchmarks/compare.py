@@ -47,8 +47,8 @@ OTHERS = {  # script -> environment
 TOLERANCES = tuple(10.0**-k for k in range(4, 13))
 COUNTS = (1, 100, 10_000, 100_000)
 GRADIENTS = (("P2", 1.0), ("P2", 10.0), ("P3", 1.0), ("P3", 5.0))
-# of reverse mode, whatever the number of steps: a state of 9 numbers for each
-KEPT_STATES = 4096
+# that a derivative has room for, however many a run takes
+STEPS = 65536
 
 
 def median(function, repeats: int):
@@ -242,7 +242,7 @@ def batches(name: str, count: int, usual, lanes) -> dict:
 
 
 def end_number(name: str, end: float, method: str = "diffrax", rtol: float = 1e-10):
-    """One number at the end, of eight: spin, mass, inertia, height of the centre."""
+    """One number at the end, of eight: spin, mass, inertia, height of the mass [cm]."""
     scene, start = scene_of(name)
 
     def value(p):
@@ -250,7 +250,7 @@ def end_number(name: str, end: float, method: str = "diffrax", rtol: float = 1e-
         changed = (
             body.mass * (1.0 + p[3]),
             body.inertia * (1.0 + jnp.diag(p[4:7])),
-            body.center_of_mass + jnp.stack([0.0 * p[7], 0.0 * p[7], p[7]]),
+            body.center_of_mass + 0.01 * jnp.stack([0.0 * p[7], 0.0 * p[7], p[7]]),
         )
         where = lambda s: (s.body.mass, s.body.inertia, s.body.center_of_mass)
         spin = start.angular_velocity + p[:3]
@@ -267,11 +267,11 @@ def end_number(name: str, end: float, method: str = "diffrax", rtol: float = 1e-
 def richardson(name: str, end: float) -> np.ndarray:
     """Derivatives by differences of runs at rtol 1e-12.
 
-    With steps of 3e-4 and twice that: what is left of the series is of the fourth power
-    of the step, 1e-14, and the runs' errors are 1e-12 over the step, 3e-9.
+    With steps of 1e-4 and twice that: the first term that is left of the series has the
+    fourth power of the step, 1e-16, and the runs' errors are 1e-12 over the step, 1e-8.
     """
     value = jax.jit(end_number(name, end, rtol=1e-12))
-    h, found = 3e-4, []
+    h, found = 1e-4, []
     for unit in np.eye(8):
         at = [float(value(jnp.asarray(k * h * unit))) for k in (-2, -1, 1, 2)]
         found.append((8.0 * (at[2] - at[1]) - (at[3] - at[0])) / (12.0 * h))
@@ -354,7 +354,7 @@ def show_rest(batch: list[dict], slopes: list[dict]) -> None:
             f"{row['problem']:4}{row['end']:4.0f} s  {row['mode']:12}"
             f"{row['solves']:8.2f} solves, off by {row['off']:.1e}, "
             f"first call {row['first']:.1f} s, "
-            f"{row['temporaries'] / KEPT_STATES:5.0f} bytes a step kept"
+            f"{row['temporaries'] / STEPS:5.0f} bytes a step"
         )
 
 

@@ -4,7 +4,8 @@ An adaptive solve is differentiated along the steps that it took: the accepted t
 recorded once and replayed, so the step controller has no derivative at all. (Through
 the controller a rounding error of the recomputed forward pass grows to about
 1e-16/rtol times 10 to 1000.) Forward mode replays with tangents, reverse mode is its
-transpose, replayed with diffrax's checkpointed adjoint.
+transpose; both as the solve's own functions for them do it, or by differentiating the
+replay, backwards with diffrax's checkpointed adjoint.
 """
 
 from collections.abc import Callable
