@@ -66,6 +66,7 @@ def test_steer_torque_acts_through_the_mass_matrix(linear):
     )
 
 
+@pytest.mark.slow
 def test_the_bicycle_rides(linear):
     """Between weave and capsize speed a lean dies out as the linear model has it.
 

@@ -211,6 +211,7 @@ def test_the_edge_of_a_chart_says_so_and_how_to_go_on():
         rk.to_voronets(scene, top)
 
 
+@pytest.mark.slow
 def test_gradients_in_voronets_coordinates():
     scene, start = ball_in_sphere()
 

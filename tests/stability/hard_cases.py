@@ -470,6 +470,7 @@ def stiff_start():
     "way against the mass bolted on [m], with Kvaerno5, at most 10^4 steps",
     1e-8,
     "the spring gives by 1e-12 m; implicit steps of 1e-10",
+    slow=True,
 )
 def stiff_spring():
     scene, start = stiff_start()

@@ -105,7 +105,7 @@ def test_poles_of_a_body_of_revolution(beside):
         assert np.abs(turn - turn2).max() < PROMISE
 
 
-@pytest.mark.parametrize("beside", [0.0, 1e-6])
+@pytest.mark.parametrize("beside", [0.0, pytest.param(1e-6, marks=pytest.mark.slow)])
 def test_poles_of_the_base(beside):
     """A ball over the top of a sphere: as a normal and as a meridian through it."""
     top = np.array([2.0 * np.sin(beside), 0.0, 2.0 * np.cos(beside)])

@@ -56,7 +56,9 @@ def turned(quaternions, vectors):
     return np.einsum("tij,tj->ti", rotations, vectors)
 
 
-@pytest.mark.parametrize("name", ["table", "turntable", "shell"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("table", marks=pytest.mark.slow), "turntable", "shell"]
+)
 def test_body_and_base_meet_in_every_frame(name, request):
     drawn = history(request.getfixturevalue(name))
     by_body = drawn.position + turned(drawn.orientation, drawn.contact_on_body)
@@ -220,6 +222,7 @@ def test_the_path_is_shown_on_the_base_and_in_fixed_axes(turntable, shell):
     assert figure_contact_path(shell).axes[0].get_xlabel().startswith("x [")
 
 
+@pytest.mark.slow
 def test_data_set(table, shell):
     data = to_xarray(table)
     for name in ("base_position", "base_rotation", "moving_energy", "power"):
