@@ -17,7 +17,7 @@ from .tableau import Weights
 from .tangent_rows import pushed
 
 # Steps of one part of the way back: from a recorded state they are taken again, and
-# their stages are kept (1 kB a step).
+# their stages are kept: 1 kB a step of Dopri8, so that they fit the first cache.
 STEPS_BETWEEN = 16
 
 
