@@ -17,8 +17,8 @@ from jaxtyping import Array
 from .numberwise import NotElementwiseError, Numbers, Program, as_objects, numbers_of
 
 # Beyond, arrays are faster: eight tangents of a shell with a pendulum have 1131
-# operations and take 1.4 us instead of 3.4, those of an ellipsoid in a bowl have 1415 and
-# take 2.7 instead of 2.2 (and 2.4 instead of 2.1 s to compile).
+# operations and take 1.4 us instead of 3.4, those of an ellipsoid in a bowl have 1415
+# and take 2.7 instead of 2.2 (and 2.4 instead of 2.1 s to compile).
 _MOST_OPERATIONS = 1200
 # One takes 285 ns number by number for the rates of a disc, 190 as it is.
 _FEWEST_TANGENTS = 3
