@@ -219,7 +219,8 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
     subs = [wanted, dfx.SubSaveAt(t1=True)]
     recording = replay is None and adjoint is not None and plan.adjoint is None
     if recording:
-        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: None))
+        # kept as if they were states: diffrax works on all the times that it returns
+        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: t))
         if _plain(plan, times):
             subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
     max_steps = plan.max_steps
@@ -242,8 +243,8 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         throw=False,
         progress_meter=plan.progress_meter,
     )
-    time, final_time, *record = cast(list, solution.ts)
-    y, final_y, *kept = cast(list, solution.ys)
+    time, final_time, *_ = cast(list, solution.ts)
+    y, final_y, *recorded = cast(list, solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
     outcome = _Solution(
         time=time,
@@ -254,7 +255,9 @@ def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
         steps=solution.stats["num_accepted_steps"],
         rejected_steps=solution.stats["num_rejected_steps"],
     )
-    return outcome, (record[0], outcome.steps, kept[-1]) if recording else None
+    # begins of steps, how many there are, and what states were kept of them
+    record = (recorded[0], outcome.steps, *recorded[1:]) if recording else None
+    return outcome, record
 
 
 def _plain(plan: _Plan, times) -> bool:

@@ -79,10 +79,12 @@ class Program:
 
     Attributes:
         outputs: Shapes and types of the outputs, in order of leaves.
+        closed: Arrays that it closes over.
         size: How many numbers it is given, those that it closes over included.
     """
 
     outputs: list[jax.ShapeDtypeStruct]
+    closed: list[Any]
     size: int
 
     def __init__(self, function: Callable, *arguments: Any):
@@ -96,10 +98,16 @@ class Program:
         self.outputs = [
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]
-        known = *self._closed.in_avals, *self._closed.consts
+        self.closed = self._closed.consts
+        known = *self._closed.in_avals, *self.closed
         self.size = sum(math.prod(x.shape) for x in known)
 
-    def __call__(self, values: list[Numbers], operate: Operate) -> list[Numbers]:
+    def __call__(
+        self,
+        values: list[Numbers],
+        operate: Operate,
+        closed: list[Numbers] | None = None,
+    ) -> list[Numbers]:
         """Outputs for the numbers of the arguments' leaves, both in order of leaves.
 
         Args:
@@ -107,12 +115,14 @@ class Program:
                 ``operate`` understands.
             operate: ``operate(name, params, operands, dtype)`` -> a value: one of
                 XLA's operations on numbers, of which at least one is not known.
+            closed: Numbers of what it closes over; None: of those arrays.
 
         Raises:
             NotElementwiseError: something else than arithmetic and bookkeeping.
         """
-        walk = _Walk(operate)
-        return walk.through(self._closed.jaxpr, self._closed.consts, values)
+        if closed is None:
+            closed = [numbers_of(x) for x in self.closed]
+        return _Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
 def numbers_of(array: Any) -> Numbers:
@@ -141,10 +151,10 @@ class _Walk:
     def __init__(self, operate: Operate):
         self.operate = operate
 
-    def through(self, jaxpr: Any, consts: Any, values: list[Numbers]) -> list[Numbers]:
-        known: dict[Any, Numbers] = {
-            v: numbers_of(c) for v, c in zip(jaxpr.constvars, consts, strict=True)
-        } | dict(zip(jaxpr.invars, values, strict=True))
+    def through(self, jaxpr: Any, closed: Any, values: list[Numbers]) -> list[Numbers]:
+        known: dict[Any, Numbers] = dict(
+            zip((*jaxpr.constvars, *jaxpr.invars), (*closed, *values), strict=True)
+        )
 
         def read(v):
             return numbers_of(v.val) if isinstance(v, core.Literal) else known[v]
@@ -159,7 +169,8 @@ class _Walk:
         name, params = equation.primitive.name, equation.params
         if name in _CALLS:
             inner = params[_CALLS[name]]
-            return self.through(inner.jaxpr, inner.consts, inputs)
+            consts = [numbers_of(x) for x in inner.consts]
+            return self.through(inner.jaxpr, consts, inputs)
         dtype = equation.outvars[0].aval.dtype if equation.outvars else None
         if name in _ELEMENTWISE:
             shape = equation.outvars[0].aval.shape

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from .native import NoCompilerError, TangentLoop, Way
+from .numberwise import NotElementwiseError
 from .tableau import Weights
 from .tangent_rows import pushed
 
@@ -65,6 +67,13 @@ class Steps(NamedTuple):
         _, end, following = self.span(i)
         lies = (end <= time) & (time <= following)
         return lies & (output >= 0) & (output <= last) & (i < self.count)
+
+    @property
+    def way(self) -> Way:
+        """The same for the compiled loop."""
+        none = self.outputs[:0]
+        jumps = none if self.jumps is None else self.jumps
+        return Way(self.record, self.count, self.sense, self.outputs, jumps)
 
     @property
     def turns(self) -> Array:
@@ -146,6 +155,16 @@ def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
         on them, and of the last state, shape (n, P).
     """
 
+    state = pushed(run.start, run.varied, tangents)
+    try:
+        loop = TangentLoop(
+            run.rates, state[0], run.varied, run.weights, state[1].shape[-1]
+        )
+    except (NotElementwiseError, NoCompilerError):
+        pass
+    else:
+        return loop(steps.way, *state, run.varied, tangents)
+
     def field(t, state):
         primals, moved = [state[0], *run.varied], [state[1], *tangents]
         return pushed(lambda y, *varied: run.rates(t, y, *varied), primals, moved)
@@ -160,7 +179,6 @@ def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
         put = lambda shown: shown.at[at].set(jnp.where(shows, state[1], shown[at]))
         return output + jnp.where(shows, 1, 0), state, _if_any(shows, put, shown)
 
-    state = pushed(run.start, run.varied, tangents)
     size = steps.outputs.shape[0], *state[1].shape
     shown = jnp.full(size, jnp.nan, state[1].dtype).at[0].set(state[1])
     _, state, shown = _counted(steps.turns, one, (jnp.asarray(1), state, shown))

@@ -6,5 +6,14 @@ lanes goes through memory a hundred times; a kernel of our own keeps it in regis
 
 from .compiler import NoCompilerError
 from .lanes import LaneLoop, Queue, Results, Stops
+from .tangents import TangentLoop, Way
 
-__all__ = ["LaneLoop", "NoCompilerError", "Queue", "Results", "Stops"]
+__all__ = [
+    "LaneLoop",
+    "NoCompilerError",
+    "Queue",
+    "Results",
+    "Stops",
+    "TangentLoop",
+    "Way",
+]

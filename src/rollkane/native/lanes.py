@@ -2,8 +2,8 @@
 
 import ctypes
 import functools
+import math
 from collections.abc import Callable
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 import jax
@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..tableau import Weights
 from .compiler import compiled
-from .source import source_of, stages_of
+from .source import attempt_source, lanes_source, program_of
 
 
 class Stops(NamedTuple):
@@ -114,29 +114,25 @@ class LaneLoop:
         self.dtype = np.dtype(state.dtype)
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
-        rates, uniform = source_of(derivative, state, leaves, own, zeros)
+        functions = lanes_source(derivative, state, leaves, own, zeros)
         sizes = [
-            int(np.prod(leaf.shape))
+            math.prod(leaf.shape)
             for leaf, differs in zip(leaves, own, strict=True)
             if differs
         ]
-        double = self.dtype == np.float64
         head = {
-            "BYTES": lanes * self.dtype.itemsize,
-            "REAL_IS_DOUBLE": int(double),
             "N": state.shape[0],
             "OWN": sum(sizes),
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
-            "UNIFORM": uniform,
+            "NUMBERS": functions.numbers,
+            "ROWS": functions.rows,
         }
-        lines = [f"#define {name} {value}" for name, value in head.items()]
-        lines.append(f"typedef {'double' if double else 'float'} real;")
-        loop = files("rollkane.native").joinpath("lane_loop.c").read_text()
-        text = loop.replace("/*GENERATED*/", f"{rates}\n\n{stages_of(weights)}")
-        self.source = "\n".join([*lines, text])
+        parts = "rows.h", functions.text, attempt_source(weights), "lane_loop.c"
+        self.source = program_of(self.dtype, lanes, head, parts)
         self._library = compiled(self.source)
         self._library.integrate.restype = ctypes.c_int64
+        double = self.dtype == np.float64
         self._real = ctypes.c_double if double else ctypes.c_float
 
     def run(self, queue: Queue, stops: Stops) -> Results:

@@ -4,13 +4,15 @@ A number is either ``uniform``, the same for all lanes (a C scalar, computed onc
 call), or a ``row``, one value for each lane (a vector of the compiler's).
 """
 
+import math
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ..numberwise import NotElementwiseError, Numbers, Program
+from ..numberwise import NotElementwiseError, Numbers, Program, as_objects
 from ..tableau import Weights
 
 # how XLA's operations are written: between two numbers, or as functions of lane_loop.c
@@ -39,11 +41,13 @@ class Symbol(NamedTuple):
         text: How it is written.
         row: Whether every lane has its own.
         truth: Whether it is true or false.
+        fixed: Whether it is the same at all stages.
     """
 
     text: str
     row: bool
     truth: bool = False
+    fixed: bool = False
 
     @property
     def kind(self) -> str:
@@ -54,17 +58,17 @@ class Symbol(NamedTuple):
 
 
 class Listing:
-    """C statements as they come, those for all lanes apart from those for each.
+    """C statements as they come, those of a call apart from those of a stage.
 
     Attributes:
-        uniform: Symbols that all lanes share, each with its expression.
-        rows: Symbols of which every lane has its own.
+        before: Symbols that all stages share, each with its expression.
+        stage: Symbols that are computed at every stage.
     """
 
     def __init__(self):
         """An empty program."""
-        self.uniform: list[tuple[Symbol, str]] = []
-        self.rows: list[tuple[Symbol, str]] = []
+        self.before: list[tuple[Symbol, str]] = []
+        self.stage: list[tuple[Symbol, str]] = []
         self._written: dict[str, Symbol] = {}
 
     def operate(self, name: str, params: Any, operands: list, dtype: Any) -> Symbol:
@@ -72,12 +76,14 @@ class Listing:
         truth = dtype == np.bool_
         if not truth and not np.issubdtype(dtype, np.floating):
             raise NotElementwiseError(f"{name} of whole numbers")
-        row = any(isinstance(x, Symbol) and x.row for x in operands)
+        symbols = [x for x in operands if isinstance(x, Symbol)]
+        row = any(x.row for x in symbols)
+        fixed = all(x.fixed for x in symbols)
         text = _expression(name, params, operands, row)
         if text in self._written:  # computed before
             return self._written[text]
-        statements = self.rows if row else self.uniform
-        symbol = Symbol(f"{'r' if row else 'c'}{len(statements)}", row, truth)
+        statements = self.before if fixed else self.stage
+        symbol = Symbol(f"{'b' if fixed else 's'}{len(statements)}", row, truth, fixed)
         statements.append((symbol, text))
         self._written[text] = symbol
         return symbol
@@ -94,7 +100,7 @@ def _expression(name: str, params: Any, operands: list, row: bool) -> str:
     if name in _LOGICAL:
         return f" {_LOGICAL[name]} ".join(texts)
     if name == "not":
-        return f"{'~' if row else '!'}{texts[0]}"
+        return f"not_row({texts[0]})" if row else f"!{texts[0]}"
     if name in _FORMULAS:
         return _FORMULAS[name].format(texts[0], ending)
     if name == "select_n" and len(texts) == 3:
@@ -139,14 +145,53 @@ def _literal(value: float) -> str:
     return "(real)INFINITY" if value > 0 else "-(real)INFINITY"
 
 
-def source_of(
+def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
+    """A C program for some numbers in a row.
+
+    Args:
+        dtype: Of the numbers.
+        lanes: How many a row holds.
+        head: Names of whole numbers that the parts know.
+        parts: Names of files beside this one, or texts.
+    """
+    dtype = np.dtype(dtype)
+    double = dtype == np.float64
+    lines = [f"typedef {'double' if double else 'float'} real;"]
+    known = {
+        "REAL_IS_DOUBLE": int(double),
+        "BYTES": lanes * dtype.itemsize,
+        "ONE_LANE": int(lanes == 1),
+        **head,
+    }
+    lines += [f"#define {name} {value}" for name, value in known.items()]
+    folder = files("rollkane.native")
+    named = lambda part: part.endswith((".c", ".h"))
+    lines += [folder.joinpath(x).read_text() if named(x) else x for x in parts]
+    return "\n".join(lines)
+
+
+class Functions(NamedTuple):
+    """``prepare``, called once, and ``rates``, called at every stage, in C.
+
+    Attributes:
+        text: Of both.
+        numbers: How many numbers ``prepare`` leaves for ``rates``.
+        rows: How many rows it leaves.
+    """
+
+    text: str
+    numbers: int
+    rows: int
+
+
+def lanes_source(
     derivative: Callable,
     state: jax.ShapeDtypeStruct,
     leaves: list,
     own: list[bool],
     zeros: list[tuple[bool, ...]] | None = None,
-) -> tuple[str, int]:
-    """A right-hand side as two C functions, ``prepare`` and ``rates``.
+) -> Functions:
+    """A right-hand side for a row of motions.
 
     Args:
         derivative: ``derivative(t, y, *leaves)`` -> rates, shape (n,).
@@ -156,90 +201,173 @@ def source_of(
         zeros: Of each leaf, which numbers are zero for all: what they are multiplied
             by is left out. None: not known.
 
-    Returns:
-        The text, and how many uniform numbers ``prepare`` leaves for ``rates``.
-
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
     """
     time = jax.ShapeDtypeStruct((), state.dtype)
     program = Program(derivative, time, state, *leaves)
     listing = Listing()
-    values = [_symbols(["t"], (), True), _array("y", state.shape, True, 0)]
+    values = [_symbols(["t"], (), row=True), _array("y", state.shape, row=True)]
     places = {"own": 0, "shared": 0}
     zeros = [()] * len(leaves) if zeros is None else zeros
     for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
         if not np.issubdtype(leaf.dtype, np.floating):
             raise NotElementwiseError("a model with whole numbers")
         name = "own" if differs else "shared"
-        numbers = _array(name, leaf.shape, differs, places[name])
+        # a lane takes the next motion in the middle of the others' runs
+        numbers = _array(
+            name, leaf.shape, places[name], row=differs, fixed=not differs
+        )
         for i, is_zero in enumerate(nothing):
             if is_zero:
                 numbers.reshape(-1)[i] = leaf.dtype.type(0)
         values.append(numbers)
-        places[name] += int(np.prod(leaf.shape))
+        places[name] += math.prod(leaf.shape)
     (rates,) = program(values, listing.operate)
-    return _functions(listing, list(rates))
+    stage = "row t, const row *restrict y, const row *restrict own"
+    return _functions(listing, stage, [("d", True, rates)])
 
 
-def _array(name: str, shape: tuple, row: bool, first: int) -> Numbers:
-    count = int(np.prod(shape))
-    return _symbols([f"{name}[{first + i}]" for i in range(count)], shape, row)
+def tangents_source(
+    rates: Callable, state: jax.ShapeDtypeStruct, varied: list
+) -> tuple[Functions, list]:
+    """A right-hand side of one motion together with its changes along a row.
+
+    Args:
+        rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
+        state: Shape and type of y.
+        varied: What has changes, apart from y: arrays, or shapes and types.
+
+    Returns:
+        The functions, and the arrays that the rates close over: their numbers follow
+        those of what is varied in ``shared``.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers.
+    """
+
+    def changes(t, y, varied, y_dot, varied_dot):
+        along = lambda y, *varied: rates(t, y, *varied)
+        return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
+
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in varied]
+    time = jax.ShapeDtypeStruct((), state.dtype)
+    program = Program(changes, time, state, like, state, like)
+    values = [_symbols(["t"], (), row=False), _array("y", state.shape, row=False)]
+    shared = _in_order("shared", [*like, *program.closed], state.dtype, row=False)
+    moved = _in_order("moved", like, state.dtype, row=True)
+    values += [*shared[: len(like)], _array("dy", state.shape, row=True), *moved]
+    listing = Listing()
+    found = program(values, listing.operate, shared[len(like) :])
+    stage = "real t, const real *restrict y, const row *restrict dy"
+    results = [("d", False, found[0]), ("dd", True, found[1])]
+    return _functions(listing, stage, results), program.closed
 
 
-def _symbols(texts: list[str], shape: tuple, row: bool) -> Numbers:
-    numbers = np.empty(len(texts), object)
-    for i, text in enumerate(texts):
-        numbers[i] = Symbol(text, row)
-    return numbers.reshape(shape)
+def _in_order(name: str, arrays: list, dtype: Any, *, row: bool) -> list[Numbers]:
+    """Numbers of fixed arrays that lie one behind the other."""
+    found, first = [], 0
+    for x in arrays:
+        if x.dtype != dtype:
+            raise NotElementwiseError(f"numbers of {x.dtype}")
+        found.append(_array(name, x.shape, first, row=row, fixed=True))
+        first += math.prod(x.shape)
+    return found
 
 
-def _functions(listing: Listing, rates: list) -> tuple[str, int]:
-    """The two functions; what is uniform goes from one to the other in an array."""
-    body = _statements(listing.rows)
-    for i, x in enumerate(rates):
-        spread = not (isinstance(x, Symbol) and x.row)
-        body.append(f"d[{i}] = {_written(x, spread)};")
+def _array(
+    name: str, shape: tuple, first: int = 0, *, row: bool, fixed: bool = False
+) -> Numbers:
+    texts = [f"{name}[{first + i}]" for i in range(math.prod(shape))]
+    return _symbols(texts, shape, row=row, fixed=fixed)
+
+
+def _symbols(
+    texts: list[str], shape: tuple, *, row: bool, fixed: bool = False
+) -> Numbers:
+    return as_objects([Symbol(text, row, fixed=fixed) for text in texts], shape)
+
+
+_FIXED = "const real *restrict shared, const row *restrict moved"
+
+
+def _functions(listing: Listing, stage: str, results: list) -> Functions:
+    """The two functions; what is fixed goes from one to the other in two arrays."""
+    body = _statements(listing.stage)
+    for name, row, numbers in results:
+        for i, x in enumerate(numbers):
+            spread = row and not (isinstance(x, Symbol) and x.row)
+            body.append(f"{name}[{i}] = {_written(x, spread)};")
     words = set("".join(c if c.isalnum() else " " for c in "\n".join(body)).split())
-    used = [symbol for symbol, _ in listing.uniform if symbol.text in words]
-    handed = [
-        f"const {symbol.kind} {symbol.text} = u[{i}];" for i, symbol in enumerate(used)
-    ]
+    used = [symbol for symbol, _ in listing.before if symbol.text in words]
+    numbers = [x for x in used if not x.row]
+    rows = [x for x in used if x.row]
+    handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
+    handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
+    out = ", ".join(f"{'row' if row else 'real'} *restrict {x}" for x, row, _ in results)
     lines = [
-        "static void prepare(const real *restrict shared, real *restrict u) {",
-        *_statements(listing.uniform),
-        *(f"u[{i}] = {symbol.text};" for i, symbol in enumerate(used)),
+        f"static void prepare({_FIXED}, real *restrict u, row *restrict v) {{",
+        *_statements(listing.before),
+        *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
         "}",
-        "static void rates(row t, const row *restrict y, const real *restrict shared,",
-        "                  const row *restrict own, const real *restrict u,",
-        "                  row *restrict d) {",
-        *handed,
+        f"static void rates({stage}, {_FIXED},",
+        f"                  const real *restrict u, const row *restrict v, {out}) {{",
+        *(f"const {x.kind} {x.text} = ({x.kind}){place};" for place, _, x in handed),
         *body,
         "}",
     ]
-    return "\n".join(lines), len(used)
+    return Functions("\n".join(lines), len(numbers), len(rows))
 
 
 def _statements(listed: list[tuple[Symbol, str]]) -> list[str]:
     return [f"const {symbol.kind} {symbol.text} = {text};" for symbol, text in listed]
 
 
-def stages_of(weights: Weights) -> str:
+_EACH = "for (int c = 0; c < N; c++)"
+
+
+def attempt_source(weights: Weights) -> str:
     """Stages and error of a Runge-Kutta pair as one C function, ``attempt``."""
     lines = [
         "static void attempt(row t, row t_end, row h, const row *restrict y,",
         "                    const real *restrict shared, const row *restrict own,",
-        "                    const real *restrict u, row k[][N], row *restrict y_new,",
-        "                    row *restrict error) {",
+        "                    const real *restrict u, const row *restrict v,",
+        "                    row k[][N], row *restrict y_new, row *restrict error) {",
     ]
-    each = "for (int c = 0; c < N; c++)"
-    for i, (row, node) in enumerate(zip(weights.rows, weights.nodes, strict=True), 1):
-        time = "t_end" if node == 1.0 else f"t + h * {_literal(node)}"
-        lines.append(f"{each} y_new[c] = y[c] + h * ({_weighted(row)});")
-        lines.append(f"rates({time}, y_new, shared, own, u, k[{i}]);")
-    lines.append(f"{each} error[c] = h * ({_weighted(weights.error)});")
+    for i, (row, time) in enumerate(_stages(weights), 1):
+        lines.append(f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', row)});")
+        lines.append(f"rates({time}, y_new, own, shared, NULL, u, v, k[{i}]);")
+    lines.append(f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});")
     return "\n".join([*lines, "}"])
 
 
-def _weighted(weights: tuple[float, ...]) -> str:
-    return " + ".join(f"k[{i}][c] * {_literal(w)}" for i, w in enumerate(weights) if w)
+def advance_source(weights: Weights) -> str:
+    """A step of a state together with its changes as one C function, ``advance``."""
+    given = "shared, moved, u, v"
+    lines = [
+        "static void advance(real t, real t_end, real h, real *restrict y,",
+        f"                    row *restrict dy, {_FIXED},",
+        "                    const real *restrict u, const row *restrict v) {",
+        "real k[STAGES][N], z[N];",
+        "row dk[STAGES][N], dz[N];",
+        f"rates(t, y, dy, {given}, k[0], dk[0]);",
+    ]
+    *before, last = _stages(weights)
+    for i, (row, time) in enumerate(before, 1):
+        lines.append(f"{_EACH} z[c] = y[c] + h * ({_weighted('k', row)});")
+        lines.append(f"{_EACH} dz[c] = dy[c] + h * ({_weighted('dk', row)});")
+        lines.append(f"rates({time}, z, dz, {given}, k[{i}], dk[{i}]);")
+    lines.append(f"{_EACH} y[c] += h * ({_weighted('k', last[0])});")
+    lines.append(f"{_EACH} dy[c] += h * ({_weighted('dk', last[0])});")
+    return "\n".join([*lines, "}"])
+
+
+def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
+    """Weights and time of each stage but the first, the step's end the last."""
+    time = lambda node: "t_end" if node == 1.0 else f"t + h * {_literal(node)}"
+    return [(row, time(c)) for row, c in zip(weights.rows, weights.nodes, strict=True)]
+
+
+def _weighted(rates: str, weights: tuple[float, ...]) -> str:
+    terms = [f"{rates}[{i}][c] * {_literal(w)}" for i, w in enumerate(weights) if w]
+    return " + ".join(terms)
