@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from .native import NoCompilerError, TangentLoop, Way
+from .native import CotangentLoop, NoCompilerError, Rates, TangentLoop, Way
 from .numberwise import NotElementwiseError
 from .tableau import Weights
 from .tangent_rows import pushed
@@ -73,7 +73,8 @@ class Steps(NamedTuple):
         """The same for the compiled loop."""
         none = self.outputs[:0]
         jumps = none if self.jumps is None else self.jumps
-        return Way(self.record, self.count, self.sense, self.outputs, jumps)
+        count = self.count.astype(self.record.dtype)
+        return Way(self.record, count, self.sense, self.outputs, jumps)
 
     @property
     def turns(self) -> Array:
@@ -130,6 +131,11 @@ class Run(NamedTuple):
         return _Stages(steps.sense * times, length * jnp.asarray(rows, begin.dtype))
 
     @property
+    def in_c(self) -> Rates:
+        """The same for the compiled loops."""
+        return Rates(self.rates, self.varied, self.weights)
+
+    @property
     def count(self) -> int:
         """How many rates a step is made of."""
         return len(self.weights.rows)
@@ -157,13 +163,11 @@ def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
 
     state = pushed(run.start, run.varied, tangents)
     try:
-        loop = TangentLoop(
-            run.rates, state[0], run.varied, run.weights, state[1].shape[-1]
-        )
+        loop = TangentLoop(run.in_c, state[0], state[1].shape[-1])
     except (NotElementwiseError, NoCompilerError):
         pass
     else:
-        return loop(steps.way, *state, run.varied, tangents)
+        return loop(steps.way, *state, tangents)
 
     def field(t, state):
         primals, moved = [state[0], *run.varied], [state[1], *tangents]
@@ -228,6 +232,14 @@ def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]
         A cotangent for each of what is varied; NaN if one is asked of an output on
         which no step ended.
     """
+    try:
+        loop = CotangentLoop(run.in_c, asked_last, STEPS_BETWEEN)
+    except (NotElementwiseError, NoCompilerError):
+        pass
+    else:
+        back, moved = loop(steps.way, steps.kept, asked, asked_last)
+        own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
+        return [a + b for a, b in zip(moved, own, strict=True)]
     field = lambda t, y: run.rates(t, y, *run.varied)
     turns = steps.turns
     segments = (turns + STEPS_BETWEEN - 1) // STEPS_BETWEEN

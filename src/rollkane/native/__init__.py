@@ -5,13 +5,15 @@ lanes goes through memory a hundred times; a kernel of our own keeps it in regis
 """
 
 from .compiler import NoCompilerError
+from .derivatives import CotangentLoop, Rates, TangentLoop, Way
 from .lanes import LaneLoop, Queue, Results, Stops
-from .tangents import TangentLoop, Way
 
 __all__ = [
+    "CotangentLoop",
     "LaneLoop",
     "NoCompilerError",
     "Queue",
+    "Rates",
     "Results",
     "Stops",
     "TangentLoop",

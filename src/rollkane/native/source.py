@@ -5,11 +5,12 @@ call), or a ``row``, one value for each lane (a vector of the compiler's).
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.resources import files
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..numberwise import NotElementwiseError, Numbers, Program, as_objects
@@ -225,22 +226,31 @@ def lanes_source(
         places[name] += math.prod(leaf.shape)
     (rates,) = program(values, listing.operate)
     stage = "row t, const row *restrict y, const row *restrict own"
-    return _functions(listing, stage, [("d", True, rates)])
+    return _functions(listing, stage, [Result("d", rates, row=True)])
 
 
-def tangents_source(
-    rates: Callable, state: jax.ShapeDtypeStruct, varied: list
-) -> tuple[Functions, list]:
+class Derivative(NamedTuple):
+    """What is compiled for changes along steps, or back along them.
+
+    Attributes:
+        functions: Of the rates alone; None where those of the changes give them too.
+        changes: Of the changes.
+        closed: Arrays that the rates close over: their numbers follow those of what is
+            varied in ``shared``.
+    """
+
+    functions: Functions | None
+    changes: Functions
+    closed: list
+
+
+def tangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
     """A right-hand side of one motion together with its changes along a row.
 
     Args:
         rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
         state: Shape and type of y.
         varied: What has changes, apart from y: arrays, or shapes and types.
-
-    Returns:
-        The functions, and the arrays that the rates close over: their numbers follow
-        those of what is varied in ``shared``.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
@@ -250,18 +260,64 @@ def tangents_source(
         along = lambda y, *varied: rates(t, y, *varied)
         return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
 
-    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in varied]
-    time = jax.ShapeDtypeStruct((), state.dtype)
+    time, like = _like([jnp.zeros((), state.dtype), *varied])
     program = Program(changes, time, state, like, state, like)
-    values = [_symbols(["t"], (), row=False), _array("y", state.shape, row=False)]
-    shared = _in_order("shared", [*like, *program.closed], state.dtype, row=False)
+    given, closed = _given(state, like, program.closed)
+    rows = _array("dy", state.shape, row=True)
     moved = _in_order("moved", like, state.dtype, row=True)
-    values += [*shared[: len(like)], _array("dy", state.shape, row=True), *moved]
     listing = Listing()
-    found = program(values, listing.operate, shared[len(like) :])
+    found = program([*given, rows, *moved], listing.operate, closed)
     stage = "real t, const real *restrict y, const row *restrict dy"
-    results = [("d", False, found[0]), ("dd", True, found[1])]
-    return _functions(listing, stage, results), program.closed
+    results = [Result("d", found[0]), Result("dd", found[1], row=True)]
+    return Derivative(None, _functions(listing, stage, results), program.closed)
+
+
+def cotangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
+    """A right-hand side of one motion, and what a cotangent of its rates becomes.
+
+    That of the state, and what it adds to those of what is varied.
+
+    Args:
+        rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
+        state: Shape and type of y.
+        varied: What has cotangents, apart from y: arrays, or shapes and types.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers.
+    """
+
+    def pulled(t, y, varied, asked):
+        along = lambda y, *varied: rates(t, y, *varied)
+        return jax.vjp(along, y, *varied)[1](asked)
+
+    time, like = _like([jnp.zeros((), state.dtype), *varied])
+    there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
+    back = Program(pulled, time, state, like, state)
+    given, closed = _given(state, like, [*there.closed, *back.closed])
+    listing = Listing()
+    found = there(given, listing.operate, closed[: len(there.closed)])
+    stage = "real t, const real *restrict y"
+    functions = _functions(listing, stage, [Result("d", found[0])])
+    listing = Listing()
+    asked = _array("asked", state.shape, row=False)
+    found = back([*given, asked], listing.operate, closed[len(there.closed) :])
+    numbers = [x for array in found[1:] for x in array.reshape(-1)]
+    results = [Result("g", found[0]), Result("m", as_objects(numbers, (-1,)), adds=True)]
+    stage = f"{stage}, const real *restrict asked"
+    changes = _functions(listing, stage, results, "_back")
+    return Derivative(functions, changes, [*there.closed, *back.closed])
+
+
+def _like(arrays: list) -> tuple[Any, list]:
+    first, *rest = (jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays)
+    return first, rest
+
+
+def _given(state: Any, like: list, closed: list) -> tuple[list, list]:
+    """Time, state and what is varied as symbols, and what is closed over."""
+    given = [_symbols(["t"], (), row=False), _array("y", state.shape, row=False)]
+    shared = _in_order("shared", [*like, *closed], state.dtype, row=False)
+    return given + shared[: len(like)], shared[len(like) :]
 
 
 def _in_order(name: str, arrays: list, dtype: Any, *, row: bool) -> list[Numbers]:
@@ -288,30 +344,60 @@ def _symbols(
     return as_objects([Symbol(text, row, fixed=fixed) for text in texts], shape)
 
 
+class Result(NamedTuple):
+    """What a function leaves in an array.
+
+    Attributes:
+        name: Of the array.
+        numbers: What is left.
+        row: Whether every lane has its own.
+        adds: Whether they are added to what is there.
+    """
+
+    name: str
+    numbers: Any
+    row: bool = False
+    adds: bool = False
+
+    @property
+    def parameter(self) -> str:
+        """The array, in C."""
+        return f"{'row' if self.row else 'real'} *restrict {self.name}"
+
+    def statements(self) -> Iterator[str]:
+        """What leaves them there, in C."""
+        for i, x in enumerate(self.numbers):
+            known = not isinstance(x, Symbol)
+            if self.adds and known and x == 0:
+                continue
+            text = _written(x, self.row and (known or not x.row))
+            yield f"{self.name}[{i}] {'+' if self.adds else ''}= {text};"
+
+
 _FIXED = "const real *restrict shared, const row *restrict moved"
+_PREPARED = "const real *restrict u, const row *restrict v"
 
 
-def _functions(listing: Listing, stage: str, results: list) -> Functions:
+def _functions(
+    listing: Listing, stage: str, results: list[Result], ending: str = ""
+) -> Functions:
     """The two functions; what is fixed goes from one to the other in two arrays."""
     body = _statements(listing.stage)
-    for name, row, numbers in results:
-        for i, x in enumerate(numbers):
-            spread = row and not (isinstance(x, Symbol) and x.row)
-            body.append(f"{name}[{i}] = {_written(x, spread)};")
+    for result in results:
+        body += result.statements()
     words = set("".join(c if c.isalnum() else " " for c in "\n".join(body)).split())
     used = [symbol for symbol, _ in listing.before if symbol.text in words]
     numbers = [x for x in used if not x.row]
     rows = [x for x in used if x.row]
     handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
     handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
-    out = ", ".join(f"{'row' if row else 'real'} *restrict {x}" for x, row, _ in results)
     lines = [
-        f"static void prepare({_FIXED}, real *restrict u, row *restrict v) {{",
+        f"static void prepare{ending}({_FIXED}, real *restrict u, row *restrict v) {{",
         *_statements(listing.before),
         *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
         "}",
-        f"static void rates({stage}, {_FIXED},",
-        f"                  const real *restrict u, const row *restrict v, {out}) {{",
+        f"static void rates{ending}({stage}, {_FIXED}, {_PREPARED},",
+        f"    {', '.join(result.parameter for result in results)}) {{",
         *(f"const {x.kind} {x.text} = ({x.kind}){place};" for place, _, x in handed),
         *body,
         "}",
@@ -341,25 +427,64 @@ def attempt_source(weights: Weights) -> str:
     return "\n".join([*lines, "}"])
 
 
-def advance_source(weights: Weights) -> str:
-    """A step of a state together with its changes as one C function, ``advance``."""
-    given = "shared, moved, u, v"
+def push_source(weights: Weights) -> str:
+    """A step of a state together with its changes as a C function, ``advance``."""
     lines = [
         "static void advance(real t, real t_end, real h, real *restrict y,",
-        f"                    row *restrict dy, {_FIXED},",
-        "                    const real *restrict u, const row *restrict v) {",
+        f"                    row *restrict dy, {_FIXED}, {_PREPARED}) {{",
         "real k[STAGES][N], z[N];",
         "row dk[STAGES][N], dz[N];",
-        f"rates(t, y, dy, {given}, k[0], dk[0]);",
+        *_advanced(weights, ["", "d"], "moved, u, v"),
+        "}",
     ]
+    return "\n".join(lines)
+
+
+def pull_source(weights: Weights) -> str:
+    """A step and its way back in C, ``advance`` and ``retreat``.
+
+    With rates ``k_m = f(y + h sum_j a_mj k_j)`` and the end ``y + h sum_m b_m k_m``, the
+    cotangent of a rate is ``h (b_m back + sum_j a_jm g_j)``, where ``g_j`` is that of
+    the stage j behind it; that of y is the sum of all ``g`` and ``back``.
+    """
+    lines = [
+        "static void advance(real t, real t_end, real h, real *restrict y,",
+        "                    const real *restrict shared, const real *restrict u,",
+        "                    real k[STAGES][N]) {",
+        "real z[N];",
+        *_advanced(weights, [""], "NULL, u, NULL"),
+        "}",
+        "static void retreat(real t, real t_end, real h, const real *restrict y,",
+        "                    const real k[STAGES][N], const real *restrict shared,",
+        "                    const real *restrict w, real *restrict back,",
+        "                    real *restrict m) {",
+        "real g[STAGES][N], z[N], a[N];",
+    ]
+    stages = _stages(weights)
+    last = stages[-1][0]
+    places = [((), "t"), *stages[:-1]]
+    for i, (row, time) in reversed(list(enumerate(places))):
+        behind = [(j, places[j][0][i]) for j in range(i + 1, len(places))]
+        terms = [f"back[c] * {_literal(last[i])}"] if last[i] else []
+        terms += [f"g[{j}][c] * {_literal(weight)}" for j, weight in behind if weight]
+        lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
+        place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
+        lines.append(f"{_EACH} z[c] = {place};")
+        lines.append(f"rates_back({time}, z, a, shared, NULL, w, NULL, g[{i}], m);")
+    total = " + ".join(f"g[{i}][c]" for i in range(len(places)))
+    return "\n".join([*lines, f"{_EACH} back[c] += {total};", "}"])
+
+
+def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
+    """Stages and end of a step; of each name x a state xy, rates xk and a room xz."""
+    listed = lambda array: ", ".join(x + array for x in names)
+    each = lambda text: [f"{_EACH} {text.replace('@', x)};" for x in names]
+    lines = [f"rates(t, {listed('y')}, shared, {given}, {listed('k[0]')});"]
     *before, last = _stages(weights)
     for i, (row, time) in enumerate(before, 1):
-        lines.append(f"{_EACH} z[c] = y[c] + h * ({_weighted('k', row)});")
-        lines.append(f"{_EACH} dz[c] = dy[c] + h * ({_weighted('dk', row)});")
-        lines.append(f"rates({time}, z, dz, {given}, k[{i}], dk[{i}]);")
-    lines.append(f"{_EACH} y[c] += h * ({_weighted('k', last[0])});")
-    lines.append(f"{_EACH} dy[c] += h * ({_weighted('dk', last[0])});")
-    return "\n".join([*lines, "}"])
+        lines += each(f"@z[c] = @y[c] + h * ({_weighted('@k', row)})")
+        lines.append(f"rates({time}, {listed('z')}, shared, {given}, {listed(f'k[{i}]')});")
+    return lines + each(f"@y[c] += h * ({_weighted('@k', last[0])})")
 
 
 def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:

@@ -1,0 +1,205 @@
+"""Changes along a motion's steps, and back along them, in C within XLA's programs.
+
+Called by XLA's foreign function interface, so they are there inside of ``jax.jit``, and
+in batches go from motion to motion.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..tableau import Weights
+from .compiler import compiled
+from .source import (
+    Derivative,
+    cotangents_source,
+    program_of,
+    pull_source,
+    push_source,
+    tangents_source,
+)
+
+_MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
+
+
+class Way(NamedTuple):
+    """The steps that a motion took; time runs forwards in ``outputs`` and ``jumps``.
+
+    Attributes:
+        record: Where steps began, and the last one ended [s], shape (n,).
+        count: How many there are, as a float (up to 2^24 exact in single precision).
+        sense: 1, or -1 where the motion went backwards in time.
+        outputs: Times of outputs [s], shape (T,).
+        jumps: Times of jumps [s] before which steps end, shape (k,).
+    """
+
+    record: Float[Array, " n"]
+    count: Float[Array, ""]
+    sense: Float[Array, ""]
+    outputs: Float[Array, " T"]
+    jumps: Float[Array, " k"]
+
+
+class Rates(NamedTuple):
+    """What is differentiated.
+
+    Attributes:
+        function: ``function(t, y, *varied)`` -> rates, shape (n,).
+        varied: What it depends on differentiably, apart from y.
+        weights: Of an explicit Runge-Kutta method.
+    """
+
+    function: Callable
+    varied: list[Array]
+    weights: Weights
+
+
+class TangentLoop:
+    """Changes along steps."""
+
+    def __init__(self, rates: Rates, state: Any, tangents: int):
+        """Write the right-hand side and its changes as C and compile them.
+
+        Args:
+            rates: What is differentiated.
+            state: y, or its shape and type.
+            tangents: How many changes there are.
+
+        Raises:
+            NotElementwiseError: the right-hand side is more than arithmetic.
+            NoCompilerError: no C compiler.
+        """
+        made = tangents_source(rates.function, state, rates.varied)
+        # one, two, four or eight
+        self._lanes = min(_MOST_LANES, 1 << (tangents - 1).bit_length())
+        self._varied, self._closed = rates.varied, made.closed
+        head = _sizes(rates, state, made) | {"ROWS": made.changes.rows, "BUFFERS": 9}
+        head["NUMBERS"] = made.changes.numbers
+        parts = made.changes.text, push_source(rates.weights), "tangent_loop.c"
+        self._name = _registered(state.dtype, self._lanes, tuple(head.items()), parts)
+
+    def __call__(
+        self, way: Way, y: Array, y_dot: Array, moved: list[Array]
+    ) -> tuple[Array, Array]:
+        """Changes of the states.
+
+        Args:
+            way: Steps of the motion.
+            y: Its first state, shape (n,).
+            y_dot: Changes of that, shape (n, P).
+            moved: Changes of what is varied, each with an axis of length P behind.
+
+        Returns:
+            Changes of the states at the outputs, shape (T, n, P), NaN where no step
+            ended on them, and of the last state, shape (n, P).
+        """
+        count = y_dot.shape[-1]
+        groups = -(-count // self._lanes)
+        room = groups * self._lanes
+
+        def rows(x: Array) -> Array:
+            """Shape (groups, numbers, lanes)."""
+            x = jnp.pad(x, ((0, 0), (0, room - count)))
+            return jnp.moveaxis(x.reshape(-1, groups, self._lanes), 1, 0)
+
+        def back(x: Array) -> Array:
+            x = jnp.moveaxis(x, 0, -2)
+            return x.reshape(*x.shape[:-2], room)[..., :count]
+
+        shared = _in_one([*self._varied, *self._closed], y.dtype)
+        changes = [x.reshape(-1, count) for x in moved]
+        changes = jnp.concatenate([jnp.zeros((0, count), y.dtype), *changes])
+        shown, last = _called(
+            self._name,
+            ((groups, *way.outputs.shape, *y.shape, self._lanes), y.dtype),
+            ((groups, *y.shape, self._lanes), y.dtype),
+        )(shared, rows(changes), y, rows(y_dot), *way)
+        return back(shown), back(last)
+
+
+class CotangentLoop:
+    """Cotangents back along steps."""
+
+    def __init__(self, rates: Rates, state: Any, between: int):
+        """Write the right-hand side and the way back through it as C and compile them.
+
+        Args:
+            rates: What is differentiated.
+            state: y, or its shape and type.
+            between: Steps from one recorded state to the next.
+
+        Raises:
+            NotElementwiseError: the right-hand side is more than arithmetic.
+            NoCompilerError: no C compiler.
+        """
+        made = cotangents_source(rates.function, state, rates.varied)
+        self._varied, self._closed = rates.varied, made.closed
+        assert made.functions is not None
+        head = _sizes(rates, state, made) | {"BETWEEN": between, "BUFFERS": 9}
+        head["NUMBERS"] = made.functions.numbers
+        head["BACK_NUMBERS"] = made.changes.numbers
+        texts = made.functions.text, made.changes.text
+        parts = *texts, pull_source(rates.weights), "cotangent_loop.c"
+        self._name = _registered(state.dtype, 1, tuple(head.items()), parts)
+
+    def __call__(
+        self, way: Way, kept: Array, asked: Array, asked_last: Array
+    ) -> tuple[Array, list[Array]]:
+        """Cotangents of the first state, shape (n,), and of what is varied.
+
+        Args:
+            way: Steps of the motion.
+            kept: Recorded states, shape (m, n).
+            asked: Cotangents of the states at the outputs, shape (T, n).
+            asked_last: Of the last state, shape (n,).
+        """
+        shared = _in_one([*self._varied, *self._closed], asked.dtype)
+        sizes = [math.prod(x.shape) for x in self._varied]
+        back, moved = _called(
+            self._name, (asked_last.shape, asked.dtype), ((sum(sizes),), asked.dtype)
+        )(shared, kept, asked, asked_last, *way)
+        parts = jnp.split(moved, np.cumsum(sizes)[:-1]) if sizes else []
+        pairs = zip(parts, self._varied, strict=True)
+        return back, [part.reshape(like.shape) for part, like in pairs]
+
+
+def _sizes(rates: Rates, state: Any, made: Derivative) -> dict[str, int]:
+    size = lambda arrays: sum(math.prod(x.shape) for x in arrays)
+    return {
+        "N": state.shape[0],
+        "MOVED": size(rates.varied),
+        "STAGES": len(rates.weights.rows),
+    }
+
+
+def _in_one(arrays: list[Array], dtype: Any) -> Array:
+    return jnp.concatenate([jnp.zeros(0, dtype), *map(jnp.ravel, arrays)])
+
+
+def _called(name: str, *results: tuple) -> Callable:
+    shapes = [jax.ShapeDtypeStruct(*result) for result in results]
+    return jax.ffi.ffi_call(name, shapes, vmap_method="expand_dims")
+
+
+@functools.cache
+def _interface() -> str:
+    """XLA's own header, of the release that is installed."""
+    return Path(jax.ffi.include_dir(), "xla", "ffi", "api", "c_api.h").read_text()
+
+
+@functools.cache
+def _registered(dtype: Any, lanes: int, head: tuple, parts: tuple[str, ...]) -> str:
+    """The name under which XLA knows a compiled loop."""
+    known = _interface(), "rows.h", "along_steps.h"
+    library = compiled(program_of(dtype, lanes, dict(head), (*known, *parts)))
+    name = f"rollkane_{Path(library._name).stem}"
+    capsule = jax.ffi.pycapsule(library.called_by_xla)
+    jax.ffi.register_ffi_target(name, capsule, platform="cpu")
+    return name
