@@ -41,12 +41,13 @@ def differentiable(
         inputs: Tree that the outputs depend on differentiably.
         checkpoints: States kept by reverse mode; with more steps than these, parts
             are recomputed.
-        push: ``push(inputs_of, varied, record, tangents)`` -> those of the outputs'
-            floats, in order, along tangents of the list ``varied``, of which
+        push: ``push(inputs_of, varied, record, tangents, once)`` -> those of the
+            outputs' floats, in order, along tangents of the list ``varied``, of which
             ``inputs_of`` makes the inputs; all tangents have an axis of one length in
-            front. None: those of the replay.
-        pull: ``pull(inputs_of, varied, record, cotangents)`` -> cotangents of the list
-            ``varied``; None: those of the replay by diffrax's adjoint.
+            front. ``once``: they are not differentiated again. None: those of the
+            replay.
+        pull: ``pull(inputs_of, varied, record, cotangents, once)`` -> cotangents of the
+            list ``varied``; None: those of the replay by diffrax's adjoint.
 
     Returns:
         The outputs. Derivatives of integer outputs are zero, and those of outputs
@@ -74,14 +75,7 @@ def differentiable(
             replay = _Replay(solve, known, checkpoints, push, pull)
             unreached = [jnp.isnan(value) for value in values]
             residuals = [*primals, *rows, *unreached]
-            values_dot = linear_call(
-                replay.forward,
-                replay.backward,
-                residuals,
-                live,
-                _sizes(values),
-                many=None if push is None else replay.forward_many,
-            )
+            values_dot = linear_call(replay.linear, residuals, live, _sizes(values))
         else:
             values_dot = [jnp.zeros_like(x) for x in values]
         outputs_dot = jax.tree.unflatten(shape, values_dot)
@@ -126,12 +120,20 @@ class _Replay(NamedTuple):
     checkpoints: int
     push: Callable | None
     pull: Callable | None
+    once: bool = True
+
+    @property
+    def linear(self) -> "Linear":
+        """Both, and how they are differentiated."""
+        many = None if self.push is None else self.forward_many
+        again = self._replace(once=False).linear if self.once else None
+        return Linear(self.forward, self.backward, many, again)
 
     def forward_many(self, residuals, tangents) -> list[Array]:
         """Along tangents with an axis in front."""
         assert self.push is not None
         inputs_of, varied, record, unreached = self.known.read(residuals)
-        moved = self.push(inputs_of, varied, record, list(tangents))
+        moved = self.push(inputs_of, varied, record, list(tangents), self.once)
         return [
             jnp.where(u[None], jnp.nan, m)
             for u, m in zip(unreached, moved, strict=True)
@@ -160,7 +162,7 @@ class _Replay(NamedTuple):
             moved = jax.vjp(outputs_of, varied)[1](known)[0]
         else:
             tree = jax.tree.unflatten(self.known.outputs, known)
-            moved = self.pull(inputs_of, varied, record, tree)
+            moved = self.pull(inputs_of, varied, record, tree, self.once)
         return [jnp.where(asked, jnp.nan, m) for m in moved]
 
     def _outputs(self, inputs_of, record, adjoint) -> Callable:
@@ -182,24 +184,50 @@ _linear_p = Primitive("rollkane_linear")
 _linear_p.multiple_results = True
 
 
-def linear_call(
-    forward, backward, residuals, operands, outputs, many=None
-) -> list[Array]:
-    """Call ``forward(residuals, operands)``, linear in the operands.
+class Linear(NamedTuple):
+    """A function that is linear in its operands.
 
-    ``backward(residuals, cotangents)`` is its transpose; ``outputs`` are the shapes and
-    dtypes of what it gives, so that nothing is traced to find them. ``many``, if given,
-    is ``forward`` for operands with an axis in front.
+    Attributes:
+        forward: ``forward(residuals, operands)`` -> arrays.
+        backward: ``backward(residuals, cotangents)``, its transpose.
+        many: ``forward`` for operands with an axis in front, if it knows them.
+        again: The same functions in a form that can be differentiated by the residuals;
+            None: as they are.
     """
-    return _linear_p.bind(
-        *residuals,
-        *operands,
-        forward=forward,
-        backward=backward,
-        count=len(residuals),
-        outputs=outputs,
-        many=many,
-    )
+
+    forward: Callable
+    backward: Callable
+    many: Callable | None = None
+    again: "Linear | None" = None
+
+    @property
+    def transpose(self) -> "Linear":
+        """The transpose, which is pulled one at a time."""
+        again = None if self.again is None else self.again.transpose
+        return Linear(self.backward, self.forward, again=again)
+
+    def mapped(self, axes: list) -> "Linear":
+        """For residuals with these axes, and operands with one in front."""
+
+        def over(function):
+            return lambda residuals, operands: jax.vmap(
+                lambda r, x: list(function(r, x)), in_axes=(axes, 0)
+            )(list(residuals), list(operands))
+
+        shared = all(axis is None for axis in axes)
+        forward = self.many if self.many and shared else over(self.forward)
+        again = None if self.again is None else self.again.mapped(axes)
+        return Linear(forward, over(self.backward), again=again)
+
+
+def linear_call(linear: Linear, residuals, operands, outputs) -> list[Array]:
+    """Call a function that is linear in the operands.
+
+    ``outputs`` are the shapes and dtypes of what it gives, so that nothing is traced to
+    find them.
+    """
+    parameters = {"linear": linear, "count": len(residuals), "outputs": outputs}
+    return _linear_p.bind(*residuals, *operands, **parameters)
 
 
 def _sizes(arrays) -> tuple[ShapedArray, ...]:
@@ -207,9 +235,9 @@ def _sizes(arrays) -> tuple[ShapedArray, ...]:
 
 
 @_linear_p.def_impl
-def _run(*args, forward, count, **parameters):
-    del parameters
-    return list(forward(args[:count], args[count:]))
+def _run(*args, linear, count, outputs):
+    del outputs
+    return list(linear.forward(args[:count], args[count:]))
 
 
 @_linear_p.def_abstract_eval
@@ -218,52 +246,38 @@ def _shapes(*args, outputs, **parameters):
     return list(outputs)
 
 
-def _jvp(primals, tangents, *, count, **parameters):
-    parameters = {"count": count, **parameters}
-    outputs = _linear_p.bind(*primals, **parameters)
+def _jvp(primals, tangents, *, linear, count, outputs):
+    parameters = {"linear": linear, "count": count, "outputs": outputs}
     moved = any(not isinstance(t, ad.Zero) for t in tangents[:count])
     tangents = [ad.instantiate_zeros(t) for t in tangents]
     if moved:  # a second derivative: differentiate the replay itself
+        parameters["linear"] = linear.again or linear
         return jax.jvp(lambda *a: _run(*a, **parameters), primals, tuple(tangents))
-    linear = _linear_p.bind(*primals[:count], *tangents[count:], **parameters)
-    return outputs, linear
+    changes = _linear_p.bind(*primals[:count], *tangents[count:], **parameters)
+    return _linear_p.bind(*primals, **parameters), changes
 
 
-def _transpose(cotangents, *args, forward, backward, count, outputs, many):
-    del many  # the transpose is pulled one at a time
+def _transpose(cotangents, *args, linear, count, outputs):
     residuals, operands = args[:count], args[count:]
     filled = [
         jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c
         for c, s in zip(cotangents, outputs, strict=True)
     ]
-    result = linear_call(
-        backward, forward, residuals, filled, _sizes(a.aval for a in operands)
-    )
+    sizes = _sizes(a.aval for a in operands)
+    result = linear_call(linear.transpose, residuals, filled, sizes)
     return [None] * count + list(result)
 
 
-def _batch(args, axes, *, forward, backward, count, outputs, many):
+def _batch(args, axes, *, linear, count, outputs):
     size = next(a.shape[d] for a, d in zip(args, axes, strict=True) if d is not None)
     operands = [
         batching.bdim_at_front(a, d, size)
         for a, d in zip(args[count:], axes[count:], strict=True)
     ]
-    in_axes = (list(axes[:count]), 0)
     batched = tuple(ShapedArray((size, *o.shape), o.dtype) for o in outputs)
-    alone = many is None or any(axis is not None for axis in axes[:count])
-    results = linear_call(
-        _mapped(forward, in_axes) if alone else many,
-        _mapped(backward, in_axes),
-        args[:count],
-        operands,
-        batched,
-    )
+    mapped = linear.mapped(list(axes[:count]))
+    results = linear_call(mapped, args[:count], operands, batched)
     return results, [0] * len(results)
-
-
-def _mapped(function, in_axes):
-    mapped = jax.vmap(lambda r, x: list(function(r, x)), in_axes=in_axes)
-    return lambda residuals, operands: mapped(list(residuals), list(operands))
 
 
 ad.primitive_jvps[_linear_p] = _jvp

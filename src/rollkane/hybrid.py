@@ -297,7 +297,8 @@ def integrate_modes(
         t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
         return _outcome(c.path, t, last, code, c.accepted, rejected), c.record
 
-    def pull(inputs_of, varied, record, asked):
+    def pull(inputs_of, varied, record, asked, once):
+        del once  # it can be differentiated as it is
         make = lambda varied: made(inputs_of(varied))
         asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
         return pulled_back(make, varied, jnp.asarray(mode), record, asked)

@@ -279,16 +279,18 @@ def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
         steps = Steps.of(begun, count, kept, times, jumps)
         return Run(along, start, varied, weights), steps
 
-    def push(inputs_of, varied, record, tangents):
+    def push(inputs_of, varied, record, tangents, once):
         run, steps = run_of(inputs_of, varied, record)
         behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
-        y, final_y = (jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind))
+        y, final_y = (
+            jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
+        )
         time = jnp.zeros(y.shape[:2], y.dtype)
         return [time, y, time[:, 0], final_y]  # as in _Solution
 
-    def pull(inputs_of, varied, record, asked):
+    def pull(inputs_of, varied, record, asked, once):
         run, steps = run_of(inputs_of, varied, record)
-        return replay.pull(run, steps, asked.y, asked.final_y)
+        return replay.pull(run, steps, asked.y, asked.final_y, once)
 
     return push, pull
 

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float
 from .native import CotangentLoop, NoCompilerError, Rates, TangentLoop, Way
 from .numberwise import NotElementwiseError
 from .tableau import Weights
-from .tangent_rows import pushed
 
 # Steps of one part of the way back: from a recorded state they are taken again, and
 # their stages are kept: 1 kB a step of Dopri8, so that they fit the first cache.
@@ -131,11 +130,6 @@ class Run(NamedTuple):
         return _Stages(steps.sense * times, length * jnp.asarray(rows, begin.dtype))
 
     @property
-    def in_c(self) -> Rates:
-        """The same for the compiled loops."""
-        return Rates(self.rates, self.varied, self.weights)
-
-    @property
     def count(self) -> int:
         """How many rates a step is made of."""
         return len(self.weights.rows)
@@ -148,30 +142,28 @@ class _Stages(NamedTuple):
     weights: Float[Array, "s+1 s"]
 
 
-def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
+def push(
+    run: Run, steps: Steps, tangents: list[Array], once: bool = True
+) -> tuple[Array, Array]:
     """Changes of the states along some tangents.
 
     Args:
         run: What is differentiated.
         steps: That it took.
         tangents: Of what is varied, each with an axis of length P behind.
+        once: Whether they are not differentiated again.
 
     Returns:
         Changes of the states at the outputs, shape (T, n, P), NaN where no step ended
         on them, and of the last state, shape (n, P).
     """
-
-    state = pushed(run.start, run.varied, tangents)
-    try:
-        loop = TangentLoop(run.in_c, state[0], state[1].shape[-1])
-    except (NotElementwiseError, NoCompilerError):
-        pass
-    else:
+    state = _pushed(run.start, run.varied, tangents)
+    if once and (loop := _in_c(TangentLoop, run, *state)):
         return loop(steps.way, *state, tangents)
 
     def field(t, state):
         primals, moved = [state[0], *run.varied], [state[1], *tangents]
-        return pushed(lambda y, *varied: run.rates(t, y, *varied), primals, moved)
+        return _pushed(lambda y, *varied: run.rates(t, y, *varied), primals, moved)
 
     def one(i, carry):
         output, state, shown = carry
@@ -187,6 +179,22 @@ def push(run: Run, steps: Steps, tangents: list[Array]) -> tuple[Array, Array]:
     shown = jnp.full(size, jnp.nan, state[1].dtype).at[0].set(state[1])
     _, state, shown = _counted(steps.turns, one, (jnp.asarray(1), state, shown))
     return shown, state[1]
+
+
+def _in_c(kind: Callable, run: Run, *like: Any) -> Any:
+    """A compiled loop; None where there can be none, and XLA's programs serve."""
+    if jax.default_backend() != "cpu":
+        return None
+    try:
+        return kind(Rates(run.rates, run.varied, run.weights), *like)
+    except (NotElementwiseError, NoCompilerError):
+        return None
+
+
+def _pushed(function: Callable, primals: list[Array], tangents: list[Array]) -> Any:
+    """A function's value, and its changes along tangents with an axis behind."""
+    one = lambda moved: jax.jvp(function, primals, moved)
+    return jax.vmap(one, in_axes=-1, out_axes=(None, -1))(tangents)
 
 
 def _where(flag: Array, new: Any, old: Any) -> Any:
@@ -219,7 +227,9 @@ def _mixed(weights: Float[Array, " s"], rates: Array) -> Array:
     return jnp.sum(spread * rates, axis=0)
 
 
-def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]:
+def pull(
+    run: Run, steps: Steps, asked: Array, asked_last: Array, once: bool = True
+) -> list[Array]:
     """Cotangents of what is varied.
 
     Args:
@@ -227,19 +237,22 @@ def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]
         steps: That it took.
         asked: Cotangents of the states at the outputs, shape (T, n).
         asked_last: Of the last state, shape (n,).
+        once: Whether they are not differentiated again.
 
     Returns:
         A cotangent for each of what is varied; NaN if one is asked of an output on
         which no step ended.
     """
-    try:
-        loop = CotangentLoop(run.in_c, asked_last, STEPS_BETWEEN)
-    except (NotElementwiseError, NoCompilerError):
-        pass
-    else:
+    if once and (loop := _in_c(CotangentLoop, run, asked_last, STEPS_BETWEEN)):
         back, moved = loop(steps.way, steps.kept, asked, asked_last)
-        own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
-        return [a + b for a, b in zip(moved, own, strict=True)]
+    else:
+        back, moved = _pulled(run, steps, asked, asked_last)
+    own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
+    return [a + b for a, b in zip(moved, own, strict=True)]
+
+
+def _pulled(run: Run, steps: Steps, asked: Array, asked_last: Array) -> tuple[Any, Any]:
+    """Cotangents of the first state and of what is varied, by XLA."""
     field = lambda t, y: run.rates(t, y, *run.varied)
     turns = steps.turns
     segments = (turns + STEPS_BETWEEN - 1) // STEPS_BETWEEN
@@ -280,11 +293,10 @@ def pull(run: Run, steps: Steps, asked: Array, asked_last: Array) -> list[Array]
     last_output = jnp.sum(steps.outputs <= end) - 1
     carry = jnp.maximum(last_output, 0), asked_last, none
     left, back, moved = _counted(segments, segment, carry)
-    own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
     passed = jnp.arange(asked.shape[0])
     passed = (passed > 0) & (passed <= left)
     lost = jnp.any(passed[:, None] & (asked != 0.0))
-    return [jnp.where(lost, jnp.nan, a + b) for a, b in zip(moved, own, strict=True)]
+    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), (back, moved))
 
 
 def _counted(count: Array, body: Callable, carry: Any) -> Any:

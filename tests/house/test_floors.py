@@ -13,7 +13,6 @@ LADDER = [
     "one_call",
     "small_linear",
     "numberwise",
-    "tangent_rows",
     "rotations",
     "user_function",
     "geometry",
@@ -82,7 +81,14 @@ LADDER = [
 ]
 INSIDE = {
     "surfaces": ["kinds", "catalogue", "given", "revolution"],
-    "native": ["compiler", "source", "lanes"],
+    "native": [
+        "compiler",
+        "listing",
+        "right_hand_side",
+        "step_source",
+        "derivatives",
+        "lanes",
+    ],
     "kane": [
         "system",
         "equations",

@@ -207,7 +207,7 @@ def test_only_arithmetic_is_left_of_a_disc():
     """442 equations of arrays are 217 operations; a zero of the plane costs nothing."""
     from rollkane import rolling_derivative
     from rollkane.coordinates import pack, unpack
-    from rollkane.native.source import source_of
+    from rollkane.native.right_hand_side import lanes_source
 
     from .. import problems
 
@@ -220,10 +220,10 @@ def test_only_arithmetic_is_left_of_a_disc():
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
     kinds = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
-    text, _ = source_of(
+    text = lanes_source(
         derivative, jax.eval_shape(pack, like), kinds, [False] * len(kinds)
-    )
-    per_lane = text.count("const row ") - text.count("const row *")
-    per_call = text.count("const real c")
+    ).text
+    per_lane = text.count("const row s")
+    per_call = text.count("const real b") - text.count("] = (real)b")
     assert per_lane <= 220, per_lane
     assert per_call <= 60, per_call

@@ -7,8 +7,11 @@ import shutil
 import subprocess
 import tempfile
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 # sqrt need not set errno, which a loop over lanes could not do in one instruction
 _FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared")
@@ -58,6 +61,31 @@ def cache_folder() -> Path:
         return Path(chosen)
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "rollkane"
+
+
+def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
+    """A C program for some numbers in a row.
+
+    Args:
+        dtype: Of the numbers.
+        lanes: How many a row holds.
+        head: Names of whole numbers that the parts know.
+        parts: Names of files beside this one, or texts.
+    """
+    dtype = np.dtype(dtype)
+    double = dtype == np.float64
+    lines = [f"typedef {'double' if double else 'float'} real;"]
+    known = {
+        "REAL_IS_DOUBLE": int(double),
+        "BYTES": lanes * dtype.itemsize,
+        "ONE_LANE": int(lanes == 1),
+        **head,
+    }
+    lines += [f"#define {name} {value}" for name, value in known.items()]
+    folder = files("rollkane.native")
+    named = lambda part: part.endswith((".c", ".h"))
+    lines += [folder.joinpath(x).read_text() if named(x) else x for x in parts]
+    return "\n".join(lines)
 
 
 def compiled(source: str) -> ctypes.CDLL:

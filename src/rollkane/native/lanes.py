@@ -11,8 +11,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..tableau import Weights
-from .compiler import compiled
-from .source import attempt_source, lanes_source, program_of
+from .compiler import compiled, program_of
+from .right_hand_side import lanes_source
+from .step_source import attempt_source
 
 
 class Stops(NamedTuple):
