@@ -15,12 +15,13 @@ from jaxtyping import Array, Float, Int
 
 from .checks import FieldError, is_traced
 from .coordinates import State
-from .integration import UNRECORDED_STEPS, checked_times, default_solver, tolerances
+from .integration import checked_times, default_solver, tolerances
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
 from .modes import Modes
 from .scene import Scene
 from .simulation import check_span, check_start, simulate
+from .solving import UNRECORDED_STEPS
 from .trajectory import Code, reason_of
 
 # what a block's states may take [bytes]

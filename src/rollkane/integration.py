@@ -7,7 +7,7 @@ the library only says which function gives the rates.
 import functools
 import warnings
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -21,35 +21,15 @@ from .checks import FieldError, is_traced, real
 from .coordinates import pack, unpack
 from .differentiate import differentiable
 from .keeping import Keeping
-from .replay import STEPS_BETWEEN, Run, Steps
-from .steps import Landings, LandOn, ReplaySteps, first_step, landings
-from .tableau import is_plain, weights_of
+from .native import zeros_of
+from .replay import Run, Steps
+from .solving import Plan, Problem, landings_of, plain, solve
+from .tableau import weights_of
 from .trajectory import Code
 
 # Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
 _CHECKPOINTS = 4096
-# Steps that a derivative can follow: the record takes 13 bytes a step.
-_RECORDED_STEPS = 2**16
-# A run that creeps towards a singular place must end: a minute at the slowest.
-UNRECORDED_STEPS = 2**22
-
-
-class Problem(eqx.Module):
-    """What is integrated; the same object for the same kind of motion.
-
-    Attributes:
-        derivative: ``derivative(model, t, state)`` -> rates, as a state.
-        quickness: ``quickness(state)`` -> speeds [rad/s] that limit the first step.
-        sizes: ``sizes(state)`` -> what the default absolute tolerance is multiplied by,
-            as a state.
-        corners: ``corners(model)`` -> times at which the right-hand side has a corner
-            [s], or None, and whether it may jump there.
-    """
-
-    derivative: Callable = eqx.field(static=True)
-    quickness: Callable = eqx.field(static=True)
-    sizes: Callable = eqx.field(static=True)
-    corners: Callable = eqx.field(static=True)
+_NO_METER = dfx.NoProgressMeter()
 
 
 class Outcome(eqx.Module):
@@ -89,6 +69,7 @@ def integrate(
     dt0: Any,
     max_steps: int | None,
     progress_meter: dfx.AbstractProgressMeter | None,
+    native: bool = False,
 ) -> Outcome:
     """Integrate a start to the asked times; see ``rollkane.simulate``.
 
@@ -106,23 +87,26 @@ def integrate(
         dt0: First step [s], or None.
         max_steps: Most steps, or None.
         progress_meter: diffrax progress meter, or None.
+        native: Whether the loop is the one in C, which has diffrax's explicit methods
+            and no controller, adjoint, ``saveat`` and progress meter of the user's.
 
     Raises:
         FieldError: tolerances out of range.
+        NotElementwiseError: the rates are more than arithmetic, and cannot be in C.
+        NoCompilerError: there is no C compiler.
     """
     dtype = times.dtype
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
-    plan = _Plan(
+    plan = Plan(
         problem=problem,
         solver=default_solver(rtol) if solver is None else solver,
         controller=stepsize_controller,
         adjoint=adjoint,
         saveat=saveat,
         max_steps=max_steps,
-        progress_meter=dfx.NoProgressMeter()
-        if progress_meter is None
-        else progress_meter,
+        progress_meter=_NO_METER if progress_meter is None else progress_meter,
+        zeros=tuple(map(zeros_of, jax.tree.leaves(model))) if native else None,
     )
     numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
@@ -130,18 +114,6 @@ def integrate(
         return _integrate(plan, None, model, start, times, numbers, dt0)
     arrays, plan = eqx.partition(plan, eqx.is_array)
     return _integrate(plan, arrays, model, start, times, numbers, dt0)
-
-
-class _Plan(eqx.Module):
-    """How to integrate: everything that does not change from call to call."""
-
-    problem: Problem
-    solver: dfx.AbstractSolver
-    controller: dfx.AbstractStepSizeController | None
-    adjoint: dfx.AbstractAdjoint | None
-    saveat: dfx.SaveAt | None
-    max_steps: int | None
-    progress_meter: dfx.AbstractProgressMeter
 
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
@@ -156,8 +128,8 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     def rates(t, y, model):
         return pack(plan.problem.derivative(model, t, unpack(y, like)))
 
-    def solve(inputs, replay, adjoint):
-        return _solve(plan, rates, like, inputs, replay, adjoint)
+    def one(inputs, replay, adjoint):
+        return solve(plan, rates, like, inputs, replay, adjoint)
 
     y0 = pack(start)
     # NaN would keep the step controller going for ever; zero stops it at the start
@@ -169,10 +141,10 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     atol = atol * jnp.where(by_size, sizes, 1.0)
     inputs = (model, y0, fixed_times, rtol, atol, dt0)
     if plan.adjoint is None:
-        by_steps = _by_steps(plan, rates) if _plain(plan, times) else (None, None)
-        solution = differentiable(solve, inputs, _CHECKPOINTS, *by_steps)
+        by_steps = _by_steps(plan, rates) if plain(plan, times) else (None, None)
+        solution = differentiable(one, inputs, _CHECKPOINTS, *by_steps)
     else:
-        solution = solve(inputs, None, plan.adjoint)[0]
+        solution = one(inputs, None, plan.adjoint)[0]
     y = solution.y
     if plan.saveat is None:
         move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
@@ -189,84 +161,7 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
     )
 
 
-class _Solution(eqx.Module):
-    time: Array
-    y: Array
-    final_time: Array
-    final_y: Array
-    code: Array
-    steps: Array
-    rejected_steps: Array
-
-
-def _solve(plan: _Plan, rates, like, inputs, replay, adjoint):
-    """One diffrax solve: adaptive, or along the steps of ``replay``."""
-    model, y0, times, rtol, atol, dt0 = inputs
-    t0, t1 = times[0], times[-1]
-    if dt0 is None:
-        dt0 = first_step(plan.problem.quickness(unpack(y0, like)), t1 - t0)
-        dt0 = jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
-    dt0 = jnp.where(t1 < t0, -dt0, dt0)
-    if replay is not None:
-        jumps = _landings(model, times, plan).jumps
-        controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
-        dt0 = None
-    else:
-        controller = plan.controller or _landing(model, times, rtol, atol, plan)
-        if isinstance(controller, dfx.StepTo):
-            dt0 = None  # it has its own first step, and refuses another
-    wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
-    subs = [wanted, dfx.SubSaveAt(t1=True)]
-    recording = replay is None and adjoint is not None and plan.adjoint is None
-    if recording:
-        # kept as if they were states: diffrax works on all the times that it returns
-        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: t))
-        if _plain(plan, times):
-            subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
-    max_steps = plan.max_steps
-    if max_steps is None:
-        custom = plan.saveat is not None or plan.controller is not None
-        bounded = recording or replay is not None or custom
-        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(rates),
-        plan.solver,
-        t0,
-        t1,
-        dt0,
-        y0,
-        model,
-        saveat=dfx.SaveAt(subs=subs),
-        stepsize_controller=controller,
-        adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
-        max_steps=max_steps,
-        throw=False,
-        progress_meter=plan.progress_meter,
-    )
-    time, final_time, *_ = cast(list, solution.ts)
-    y, final_y, *recorded = cast(list, solution.ys)
-    y = jnp.where(jnp.isfinite(y), y, jnp.nan)
-    outcome = _Solution(
-        time=time,
-        y=y,
-        final_time=final_time[-1],
-        final_y=final_y[-1],
-        code=_code(solution.result, final_time[-1] == t0),
-        steps=solution.stats["num_accepted_steps"],
-        rejected_steps=solution.stats["num_rejected_steps"],
-    )
-    # begins of steps, how many there are, and what states were kept of them
-    record = (recorded[0], outcome.steps, *recorded[1:]) if recording else None
-    return outcome, record
-
-
-def _plain(plan: _Plan, times) -> bool:
-    """Whether a run is nothing but its steps, and outputs at their ends."""
-    ends = plan.controller is None or times.shape[0] == 2
-    return is_plain(plan.solver) and plan.saveat is None and ends
-
-
-def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
+def _by_steps(plan: Plan, rates) -> tuple[Callable, Callable]:
     """Derivatives of a plain run along its steps; see :func:`differentiable`."""
     weights = weights_of(plan.solver, "a run")
 
@@ -275,7 +170,7 @@ def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
         start = lambda *varied: inputs_of(varied)[1]
         model, _, times, *_ = inputs_of(varied)
         begun, count, kept = record
-        jumps = _landings(model, times, plan).jumps
+        jumps = landings_of(model, times, plan).jumps
         steps = Steps.of(begun, count, kept, times, jumps)
         return Run(along, start, varied, weights), steps
 
@@ -286,44 +181,13 @@ def _by_steps(plan: _Plan, rates) -> tuple[Callable, Callable]:
             jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
         )
         time = jnp.zeros(y.shape[:2], y.dtype)
-        return [time, y, time[:, 0], final_y]  # as in _Solution
+        return [time, y, time[:, 0], final_y]  # as in Solution
 
     def pull(inputs_of, varied, record, asked, once):
         run, steps = run_of(inputs_of, varied, record)
         return replay.pull(run, steps, asked.y, asked.final_y, once)
 
     return push, pull
-
-
-def _landing(
-    model: Any, times, rtol, atol, plan: _Plan
-) -> dfx.AbstractStepSizeController:
-    """Adaptive steps that end on outputs and on corners of the right-hand side."""
-    resolution = 10 * jnp.finfo(times.dtype).eps
-    dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
-    controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
-    where = _landings(model, times, plan)
-    if where.ends.shape[0] == 1:
-        return controller
-    # its tolerances are the controller's, which diffrax declares as fields
-    return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
-
-
-def _landings(model: Any, times, plan: _Plan) -> Landings:
-    outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
-    return landings(outputs, *plan.problem.corners(model))
-
-
-def _code(result, stuck) -> Array:
-    code = jnp.asarray(Code.STOPPED)
-    for known, meaning in (
-        (dfx.RESULTS.successful, Code.COMPLETED),
-        (dfx.RESULTS.max_steps_reached, Code.MAX_STEPS),
-        (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),
-    ):
-        code = jnp.where(result == known, meaning, code)
-    too_small = stuck & (code == Code.STEP_TOO_SMALL)
-    return jnp.where(too_small, Code.BAD_START, code)
 
 
 @eqx.filter_custom_jvp
@@ -433,8 +297,9 @@ def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     return rtol, atol
 
 
+_FINE, _COARSE = dfx.Dopri8(), dfx.Tsit5()
+
+
 def default_solver(rtol) -> dfx.AbstractSolver:
     """Dopri8 where many digits are asked for, Tsit5 where few are."""
-    if is_traced(rtol) or rtol < 1e-6:
-        return dfx.Dopri8()
-    return dfx.Tsit5()
+    return _FINE if is_traced(rtol) or rtol < 1e-6 else _COARSE

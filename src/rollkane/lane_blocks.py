@@ -12,7 +12,7 @@ import numpy as np
 from .coordinates import pack, unpack
 from .integration import tolerances
 from .members import Members
-from .native import LaneLoop, NoCompilerError, Queue, Results, Stops
+from .native import LaneLoop, NoCompilerError, Queue, Results, Stops, zeros_of
 from .numberwise import NotElementwiseError
 from .rolling import rolling_derivative
 from .rolling_run import code_by_margin, corners, error_sizes, has_margin
@@ -74,9 +74,12 @@ class LaneBlocks:
             own=own,
             state=jax.tree.structure(self.like),
             sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
-            backwards=bool(times[-1] < times[0]),
             lanes=lanes,
-            zeros=zeros_of(leaves, members.scene_axes),
+            # what differs from member to member is not known
+            zeros=tuple(
+                zeros_of(x) if axis is None else b""
+                for x, axis in zip(leaves, members.scene_axes, strict=True)
+            ),
         )
         try:
             self._loop = _compiled(kind, type(solver))
@@ -129,40 +132,20 @@ class LaneBlocks:
                 shared.append(leaf.reshape(-1))
             else:
                 own.append(leaf.reshape(count, -1))
-        every, each = np.concatenate(shared), np.concatenate(own, axis=1)
-        return self._integrated(scene, y0, sizes, steps, each, every)
-
-    def run_alone(
-        self, scene: Any, shared: np.ndarray, start: Any
-    ) -> tuple[np.ndarray, Results]:
-        """Integrate an only member.
-
-        Args:
-            scene: Its scene.
-            shared: All numbers of the scene.
-            start: Its start.
-
-        Returns:
-            As :meth:`run`, with M = 1.
-        """
-        span = np.abs(self._times[-1] - self._times[0])
-        y0, sizes, step = (np.asarray(x)[None] for x in _prepared_alone(start, span))
-        return self._integrated(scene, y0, sizes, step, np.zeros((1, 0)), shared)
-
-    def _integrated(self, scene, y0, sizes, first_steps, own, shared):
         scale = sizes if self._by_size else np.ones_like(y0)
         sense = -1.0 if self._times[-1] < self._times[0] else 1.0
         eps = np.finfo(y0.dtype).eps
         queue = Queue(
             starts=y0,
             atol=float(self._atol) * scale,
-            first_steps=first_steps,
-            own=own,
-            shared=shared,
+            first_steps=steps,
+            own=np.concatenate(own, axis=1),
+            shared=np.concatenate(shared),
             time=sense * float(self._times[0]),
             rtol=float(self._rtol),
             dtmin=float(10 * eps * max(abs(self._times[0]), abs(self._times[-1]))),
             max_steps=self._max_steps,
+            sense=sense,
         )
         results = self._loop.run(queue, self._stops)
         y = np.concatenate([y0[:, None], results.y], axis=1)
@@ -190,9 +173,8 @@ class _Kind(NamedTuple):
     own: tuple[bool, ...]
     state: Any
     sizes: tuple
-    backwards: bool
     lanes: int | None
-    zeros: tuple
+    zeros: tuple[bytes, ...]
 
 
 @functools.lru_cache(maxsize=64)
@@ -203,8 +185,6 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
 
     def derivative(t, y, *leaves):
         scene = jax.tree.unflatten(kind.tree, leaves)
-        if kind.backwards:
-            return -pack(rolling_derivative(scene, -t, unpack(y, like)))
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
     return LaneLoop(
@@ -214,15 +194,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         list(kind.own),
         weights_of(solver(), "the loop over lanes"),
         kind.lanes,
-        list(kind.zeros),
-    )
-
-
-def zeros_of(leaves: list, axes: list[int | None]) -> tuple[tuple[bool, ...], ...]:
-    """Which numbers of a scene are zero: the compiled loop leaves out what they do."""
-    return tuple(
-        () if axis is not None else tuple((np.asarray(x) == 0).ravel().tolist())
-        for x, axis in zip(leaves, axes, strict=True)
+        kind.zeros,
     )
 
 
@@ -237,9 +209,6 @@ def _readied(start: Any, span: Any) -> tuple[Any, Any, Any]:
     y = jnp.where(jnp.all(jnp.isfinite(y)), y, 0.0)
     step = first_step(start.angular_velocity, span)
     return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
-
-
-_prepared_alone = jax.jit(_readied)  # eqx.filter_jit would cost 0.1 ms a call more
 
 
 @eqx.filter_jit

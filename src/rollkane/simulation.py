@@ -14,7 +14,6 @@ from .coordinates import FlyingState, SlidingState, State, pack
 from .euler_lagrange import euler_lagrange_derivative
 from .hybrid import integrate_modes
 from .integration import (
-    UNRECORDED_STEPS,
     Outcome,
     Problem,
     checked_times,
@@ -23,13 +22,15 @@ from .integration import (
     tolerances,
     warn_single_precision,
 )
-from .lane_blocks import NotForLanesError
 from .modes import Modes, of
-from .one_lane import in_one_lane
+from .native import NoCompilerError
+from .numberwise import NotElementwiseError
 from .rolling import contact_of, rolling_derivative
 from .rolling_run import code_by_margin, corners, error_sizes, has_margin
 from .scene import Rolling, Scene, Slipping, under
+from .solving import UNRECORDED_STEPS
 from .state_conversion import to_pole_free, to_voronets
+from .tableau import PLAIN, is_plain
 from .trajectory import Code, Trajectory
 from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
 
@@ -114,8 +115,10 @@ def simulate(
         "progress_meter": progress_meter is not None,
     }
     if method == "native":
-        _refuse("method", options | {"modes": modes is not None})
-        return _simulate_natively(scene, start, times, rtol, atol, solver, max_steps)
+        unknown = "stepsize_controller", "adjoint", "saveat", "progress_meter"
+        given = {name: options[name] for name in unknown}
+        _refuse("method", given | {"modes": modes is not None})
+        _check_native(solver)
     if modes is not None:
         _refuse("modes", options)
         return _simulate_modes(
@@ -127,21 +130,25 @@ def simulate(
     times = checked_times(times, dtype)
     check_span(scene, times)
     start = _in_coordinates(coordinates, scene, start, times[0])
-    outcome = integrate(
-        _PROBLEMS[formulation],
-        scene,
-        start,
-        times,
-        rtol=rtol,
-        atol=atol,
-        solver=solver,
-        stepsize_controller=stepsize_controller,
-        adjoint=adjoint,
-        saveat=saveat,
-        dt0=dt0,
-        max_steps=max_steps,
-        progress_meter=progress_meter,
-    )
+    try:
+        outcome = integrate(
+            _PROBLEMS[formulation],
+            scene,
+            start,
+            times,
+            rtol=rtol,
+            atol=atol,
+            solver=solver,
+            stepsize_controller=stepsize_controller,
+            adjoint=adjoint,
+            saveat=saveat,
+            dt0=dt0,
+            max_steps=max_steps,
+            progress_meter=progress_meter,
+            native=method == "native",
+        )
+    except (NotElementwiseError, NoCompilerError) as error:
+        raise _not_native(f"cannot do this: {error}") from error
     return Trajectory(
         time=outcome.time,
         state=outcome.state,
@@ -162,28 +169,18 @@ def _refuse(having: str, given: dict[str, bool]) -> None:
             raise FieldError(f"simulate.{name}", "...", problem, remedy)
 
 
-def _simulate_natively(
-    scene: Scene, start, times, rtol, atol, solver, max_steps
-) -> Trajectory:
-    """A run in the compiled loop, as an ensemble of one."""
-    field = "simulate.method"
-    if is_traced(scene, start, times, rtol, atol):
-        remedy = 'use method="diffrax" for derivatives and inside jit and vmap'
-        raise FieldError(field, "native", "has no traced arguments", remedy)
-    check_start(scene, start)
-    if not isinstance(start, State):
-        remedy = "give to_pole_free(scene, start)"
-        raise FieldError(field, "native", "has no Voronets coordinates", remedy)
-    dtype = start.angular_velocity.dtype
-    warn_single_precision(dtype)
-    times = np.asarray(checked_times(times, dtype))
-    check_span(scene, times)
-    try:
-        return in_one_lane(scene, start, times, rtol, atol, solver, max_steps)
-    except NotForLanesError as error:
-        remedy = 'use method="diffrax"'
-        problem = f"cannot do this: {error}"
-        raise FieldError(field, "native", problem, remedy) from error
+def _not_native(problem: str) -> FieldError:
+    return FieldError("simulate.method", "native", problem, 'use method="diffrax"')
+
+
+def _check_native(solver: dfx.AbstractSolver | None) -> None:
+    """Refuse what the loop in C is known not to do before anything is traced."""
+    if solver is not None and not is_plain(solver):
+        known = ", ".join(kind.__name__ for kind in PLAIN)
+        name = type(solver).__name__
+        raise _not_native(f"cannot do this: {name} is none of {known}")
+    if jax.default_backend() != "cpu":
+        raise _not_native("runs on the CPU only, which is not JAX's default here")
 
 
 def _simulate_modes(

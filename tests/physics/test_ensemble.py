@@ -67,18 +67,6 @@ def test_a_member_is_what_simulate_gives(runs):
     assert runs[0].steps[17] == alone.steps
 
 
-def test_simulate_natively():
-    scene, starts = discs()
-    start = member(starts, 3)
-    both = [
-        rk.simulate(scene, start, TIMES, solver=dfx.Tsit5(), method=method)
-        for method in ("native", "diffrax")
-    ]
-    agree(both[0].state, both[1].state, 1e-12)
-    agree(both[0].position, both[1].position, 1e-12)
-    assert int(both[0].steps) == int(both[1].steps)
-
-
 def stones(depths):
     """A scene of every mass and depth: a body on a base that goes up and down."""
 
@@ -262,8 +250,16 @@ REFUSED = {
         "Keeping is none of Bosh3",
     ),
     "an option of simulate": (
-        lambda s, x: rk.simulate(s, member(x, 0), TIMES, method="native", dt0=0.1),
-        "simulate.dt0: cannot be chosen with method",
+        lambda s, x: rk.simulate(
+            s, member(x, 0), TIMES, method="native", adjoint=dfx.ForwardMode()
+        ),
+        "simulate.adjoint: cannot be chosen with method",
+    ),
+    "a solver of simulate": (
+        lambda s, x: rk.simulate(
+            s, member(x, 0), TIMES, method="native", solver=dfx.Kvaerno5()
+        ),
+        "cannot do this: Kvaerno5 is none of Bosh3",
     ),
 }
 

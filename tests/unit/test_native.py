@@ -220,9 +220,10 @@ def test_only_arithmetic_is_left_of_a_disc():
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
     kinds = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
-    text = lanes_source(
+    source = lanes_source(
         derivative, jax.eval_shape(pack, like), kinds, [False] * len(kinds)
-    ).text
+    )
+    text = source.functions.text
     per_lane = text.count("const row s")
     per_call = text.count("const real b") - text.count("] = (real)b")
     assert per_lane <= 220, per_lane

@@ -7,15 +7,20 @@ lanes goes through memory a hundred times; a kernel of our own keeps it in regis
 from .compiler import NoCompilerError
 from .derivatives import CotangentLoop, Rates, TangentLoop, Way
 from .lanes import LaneLoop, Queue, Results, Stops
+from .right_hand_side import zeros_of
+from .runs import Course, RunLoop
 
 __all__ = [
     "CotangentLoop",
+    "Course",
     "LaneLoop",
     "NoCompilerError",
     "Queue",
     "Rates",
     "Results",
+    "RunLoop",
     "Stops",
     "TangentLoop",
     "Way",
+    "zeros_of",
 ]

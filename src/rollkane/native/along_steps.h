@@ -1,9 +1,4 @@
-/* A motion's steps, and what XLA hands over of them. Before this text: XLA's c_api.h,
- * rows.h, and generated N (numbers of a state) and BUFFERS (that XLA gives).
- *
- * Sizes that are no more than memory are read from the shapes of XLA's buffers. In a batch
- * each buffer has one more axis in front, of length one where all members share it.
- */
+/* A motion's steps. Before this text: xla_call.h. */
 
 typedef struct {
     const real *record; /* where steps begin, and the last one ends */
@@ -35,66 +30,7 @@ static int shows(const Way *way, Step step, long output) {
     return step.end <= time && time <= step.following;
 }
 
-typedef struct {
-    const char *data;
-    const int64_t *dims;
-    long leads, axes; /* axes of the batch in front, and its own */
-} Buffer;
-
-typedef struct {
-    Buffer given[BUFFERS];
-    char *results[2];
-    const int64_t *dims; /* of the batch */
-    long leads, batch;
-} Call;
-
-static long product(const int64_t *dims, long axes) {
-    long size = 1;
-    for (long i = 0; i < axes; i++) size *= dims[i];
-    return size;
-}
-
-static long size_of(const Buffer *buffer) {
-    return product(buffer->dims + buffer->leads, buffer->axes);
-}
-
-/* Where the numbers of a member of the batch begin. */
-static const real *member(const Call *call, int i, long b) {
-    const Buffer *buffer = &call->given[i];
-    long place = 0, stride = size_of(buffer);
-    for (long axis = call->leads - 1; axis >= 0; axis--) {
-        const long at = b % call->dims[axis];
-        b /= call->dims[axis];
-        if (buffer->dims[axis] > 1) place += at * stride;
-        stride *= buffer->dims[axis];
-    }
-    return (const real *)buffer->data + place;
-}
-
-/* The buffers, in the order of XLA's call; 0 where only the interface's version is asked.
- * Steps are those from `first` on: their record, count, sense, outputs and jumps. */
-static int received(XLA_FFI_CallFrame *frame, const int *axes, int result_axes, Call *call) {
-    XLA_FFI_Extension_Base *asked = frame->extension_start;
-    if (asked && asked->type == XLA_FFI_Extension_Metadata) {
-        XLA_FFI_Metadata *told = ((XLA_FFI_Metadata_Extension *)asked)->metadata;
-        told->api_version.struct_size = XLA_FFI_Api_Version_STRUCT_SIZE;
-        told->api_version.major_version = XLA_FFI_API_MAJOR;
-        told->api_version.minor_version = XLA_FFI_API_MINOR;
-        return 0;
-    }
-    for (int i = 0; i < BUFFERS; i++) {
-        const XLA_FFI_Buffer *b = frame->args.args[i];
-        call->given[i] = (Buffer){b->data, b->dims, b->rank - axes[i], axes[i]};
-    }
-    for (int i = 0; i < 2; i++)
-        call->results[i] = ((XLA_FFI_Buffer *)frame->rets.rets[i])->data;
-    const XLA_FFI_Buffer *result = frame->rets.rets[0];
-    call->dims = result->dims;
-    call->leads = result->rank - result_axes;
-    call->batch = product(call->dims, call->leads);
-    return 1;
-}
-
+/* Of a member of the batch, from XLA's buffers from the first of them on. */
 static Way way_of(const Call *call, int first, long b) {
     return (Way){
         .record = member(call, first, b),

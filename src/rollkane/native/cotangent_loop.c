@@ -58,8 +58,7 @@ XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
     if (!received(frame, axes, 1, &call)) return NULL;
     for (long b = 0; b < call.batch; b++) {
         const Way way = way_of(&call, WAY_AT, b);
-        real *back = (real *)call.results[0] + b * N;
-        real *moved = (real *)call.results[1] + b * MOVED;
+        real *back = wanted(&call, 0, b), *moved = wanted(&call, 1, b);
         memcpy(back, member(&call, LAST_AT, b), N * sizeof(real));
         pull(&way, member(&call, SHARED_AT, b), member(&call, KEPT_AT, b),
              member(&call, ASKED_AT, b), back, moved);

@@ -4,22 +4,19 @@ Called by XLA's foreign function interface, so they are there inside of ``jax.ji
 in batches go from motion to motion.
 """
 
-import functools
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..numberwise import NotElementwiseError
 from ..tableau import Weights
-from .compiler import compiled, program_of
 from .right_hand_side import cotangents_source, tangents_source
 from .step_source import pull_source, push_source
+from .xla_call import XlaCall, in_one
 
 _MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
 # Compiling 7,000 takes 2 s, 15,000 take 8 s and 40,000 take 90 s.
@@ -78,10 +75,11 @@ class TangentLoop:
         count = changes.shape[-1]
         self._lanes = min(_MOST_LANES, 1 << (count - 1).bit_length())
         self._varied, self._closed = rates.varied, made.closed
-        head = _sizes(rates, state) | {"ROWS": made.changes.rows, "BUFFERS": 9}
-        head["NUMBERS"] = made.changes.numbers
-        parts = made.changes.text, push_source(rates.weights), "tangent_loop.c"
-        self._name = _registered(state.dtype, self._lanes, tuple(head.items()), parts)
+        head = _sizes(rates, state) | {"ROWS": made.functions.rows}
+        head["NUMBERS"] = made.functions.numbers
+        texts = made.functions.text, push_source(rates.weights)
+        parts = "along_steps.h", *_of_bearable_length(texts), "tangent_loop.c"
+        self._call = XlaCall(state.dtype, self._lanes, head, parts, 9, 2)
 
     def __call__(
         self, way: Way, y: Array, y_dot: Array, moved: list[Array]
@@ -111,14 +109,14 @@ class TangentLoop:
             x = jnp.moveaxis(x, 0, -2)
             return x.reshape(*x.shape[:-2], room)[..., :count]
 
-        shared = _in_one([*self._varied, *self._closed], y.dtype)
+        shared = in_one([*self._varied, *self._closed], y.dtype)
         changes = [x.reshape(-1, count) for x in moved]
         changes = jnp.concatenate([jnp.zeros((0, count), y.dtype), *changes])
-        shown, last = _called(
-            self._name,
-            ((groups, *way.outputs.shape, *y.shape, self._lanes), y.dtype),
-            ((groups, *y.shape, self._lanes), y.dtype),
-        )(shared, rows(changes), y, rows(y_dot), *way)
+        sizes = (
+            (groups, *way.outputs.shape, *y.shape, self._lanes),
+            (groups, *y.shape, self._lanes),
+        )
+        shown, last = self._call(sizes, shared, rows(changes), y, rows(y_dot), *way)
         return back(shown), back(last)
 
 
@@ -139,13 +137,13 @@ class CotangentLoop:
         """
         made = cotangents_source(rates.function, state, rates.varied)
         self._varied, self._closed = rates.varied, made.closed
-        assert made.functions is not None
-        head = _sizes(rates, state) | {"BETWEEN": between, "BUFFERS": 9}
+        assert made.back is not None
+        head = _sizes(rates, state) | {"BETWEEN": between}
         head["NUMBERS"] = made.functions.numbers
-        head["BACK_NUMBERS"] = made.changes.numbers
-        texts = made.functions.text, made.changes.text
-        parts = *texts, pull_source(rates.weights), "cotangent_loop.c"
-        self._name = _registered(state.dtype, 1, tuple(head.items()), parts)
+        head["BACK_NUMBERS"] = made.back.numbers
+        texts = made.functions.text, made.back.text, pull_source(rates.weights)
+        parts = "along_steps.h", *_of_bearable_length(texts), "cotangent_loop.c"
+        self._call = XlaCall(state.dtype, 1, head, parts, 9, 2)
 
     def __call__(
         self, way: Way, kept: Array, asked: Array, asked_last: Array
@@ -158,11 +156,10 @@ class CotangentLoop:
             asked: Cotangents of the states at the outputs, shape (T, n).
             asked_last: Of the last state, shape (n,).
         """
-        shared = _in_one([*self._varied, *self._closed], asked.dtype)
+        shared = in_one([*self._varied, *self._closed], asked.dtype)
         sizes = [math.prod(x.shape) for x in self._varied]
-        back, moved = _called(
-            self._name, (asked_last.shape, asked.dtype), ((sum(sizes),), asked.dtype)
-        )(shared, kept, asked, asked_last, *way)
+        shapes = asked_last.shape, (sum(sizes),)
+        back, moved = self._call(shapes, shared, kept, asked, asked_last, *way)
         parts = jnp.split(moved, np.cumsum(sizes)[:-1]) if sizes else []
         pairs = zip(parts, self._varied, strict=True)
         return back, [part.reshape(like.shape) for part, like in pairs]
@@ -177,29 +174,7 @@ def _sizes(rates: Rates, state: Any) -> dict[str, int]:
     }
 
 
-def _in_one(arrays: list[Array], dtype: Any) -> Array:
-    return jnp.concatenate([jnp.zeros(0, dtype), *map(jnp.ravel, arrays)])
-
-
-def _called(name: str, *results: tuple) -> Callable:
-    shapes = [jax.ShapeDtypeStruct(*result) for result in results]
-    return jax.ffi.ffi_call(name, shapes, vmap_method="expand_dims")
-
-
-@functools.cache
-def _interface() -> str:
-    """XLA's own header, of the release that is installed."""
-    return Path(jax.ffi.include_dir(), "xla", "ffi", "api", "c_api.h").read_text()
-
-
-@functools.cache
-def _registered(dtype: Any, lanes: int, head: tuple, parts: tuple[str, ...]) -> str:
-    """The name under which XLA knows a compiled loop."""
-    if sum(part.count("\n") for part in parts) > _MOST_STATEMENTS:
+def _of_bearable_length(texts: tuple[str, ...]) -> tuple[str, ...]:
+    if sum(text.count("\n") for text in texts) > _MOST_STATEMENTS:
         raise NotElementwiseError("too many operations")
-    known = _interface(), "rows.h", "along_steps.h"
-    library = compiled(program_of(dtype, lanes, dict(head), (*known, *parts)))
-    name = f"rollkane_{Path(library._name).stem}"
-    capsule = jax.ffi.pycapsule(library.called_by_xla)
-    jax.ffi.register_ffi_target(name, capsule, platform="cpu")
-    return name
+    return texts

@@ -4,7 +4,8 @@
  *
  * Every lane has a time and a step of its own. One that reaches a stop writes its output
  * and goes on; one that ends takes the next motion of the queue. The steps are those of
- * diffrax's explicit Runge-Kutta methods under its default controller.
+ * diffrax's explicit Runge-Kutta methods under its default controller. Time runs forwards
+ * in the loop. With RECORD, of one lane, states are kept every BETWEEN steps.
  */
 enum { COMPLETED = 0, MAX_STEPS_REACHED, STEP_TOO_SMALL, BAD_START }; /* Code */
 
@@ -17,7 +18,7 @@ typedef struct {
     const real *first_steps; /* [count] */
     const real *ends, *begins;
     const int64_t *slots;    /* [stops] */
-    real time, rtol, dtmin;
+    real time, rtol, dtmin, sense; /* 1, or -1 where time runs backwards */
     int64_t max_steps;
 } Queue;
 
@@ -26,6 +27,9 @@ typedef struct {
     int32_t *code;           /* [count] */
     real *final_time, *final_y;
     int64_t *steps, *rejected;
+#if RECORD
+    real *record, *kept;     /* where steps began, the last one ended; [..][N] */
+#endif
 } Results;
 
 typedef struct {
@@ -65,6 +69,15 @@ INLINE row towards(int only, row goal, row t, row dt) {
     return choose_row(dt >= left * (real)0.999, goal, t + half);
 }
 
+/* Record where the next step of an only lane begins. */
+INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
+#if RECORD
+    const int64_t n = a->steps[0];
+    out->record[n] = q->sense * a->t;
+    if (n % BETWEEN == 0) memcpy(out->kept + n / BETWEEN * N, a->y, sizeof a->y);
+#endif
+}
+
 /* Write what a lane has reached; 1 where its rates have to be computed afresh. */
 static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahead) {
     const long i = a->motion[l];
@@ -79,6 +92,7 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
             fresh = q->begins[stop] != LANE(a->t, l);
             LANE(a->t, l) = q->begins[stop];
             a->stop[l] = stop + 1;
+            note(q, out, a);
         }
     }
     if (ended && i >= 0) {
@@ -102,6 +116,7 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
             LANE(a->atol[c], l) = q->atol[next * N + c];
         }
         for (int c = 0; c < OWN; c++) LANE(a->own[c], l) = q->own[next * OWN + c];
+        note(q, out, a);
         fresh = 1;
     }
     LANE(a->running, l) = YES;
@@ -130,14 +145,15 @@ int64_t integrate(const Queue *q, const Results *out) {
         if (!any(a.running)) return turns;
         a.t_end = choose_row(moved, towards(q->stops == 1, a.goal, a.t, a.wanted), a.t_end);
         if (any(fresh)) {
-            rates(a.t, a.y, a.own, q->shared, NULL, u, v, first);
+            rates(q->sense * a.t, a.y, a.own, q->shared, NULL, u, v, first);
             for (int c = 0; c < N; c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
         }
         mask paused;
         do {
-            const row h = a.t_end - a.t;
+            const row h = a.t_end - a.t, way = h * q->sense;
             memcpy(k[0], a.k, sizeof a.k);
-            attempt(a.t, a.t_end, h, a.y, q->shared, a.own, u, v, k, y, error);
+            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, u, v, k,
+                    y, error);
             row size = splat(0);
             for (int c = 0; c < N; c++) {
                 const row most = max_row(abs_row(a.y[c]), abs_row(y[c]));
@@ -165,9 +181,10 @@ int64_t integrate(const Queue *q, const Results *out) {
             mask out_of_steps = mask_of(0);
             for (int l = 0; l < LANES; l++) {
                 a.steps[l] += LANE(go, l) != 0, a.rejected[l] += LANE(refused, l) != 0;
-                const int out = a.steps[l] + a.rejected[l] >= q->max_steps;
-                LANE(out_of_steps, l) = out ? YES : 0;
+                const int spent = a.steps[l] + a.rejected[l] >= q->max_steps;
+                LANE(out_of_steps, l) = spent ? YES : 0;
             }
+            if (any(go)) note(q, out, &a);
             a.wanted = choose_row(a.running, dt, a.wanted);
             a.t_end = choose_row(a.running, towards(q->stops == 1, a.goal, a.t, dt), a.t_end);
             a.failed |= a.running & (small | (out_of_steps & not_row(landed)));

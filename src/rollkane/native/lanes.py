@@ -3,7 +3,7 @@
 import ctypes
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -45,6 +45,7 @@ class Queue(NamedTuple):
         rtol: Relative tolerance of a step [1].
         dtmin: Least step [s].
         max_steps: Most steps of a motion, rejected ones too.
+        sense: 1, or -1 where time runs backwards: it runs forwards in the loop.
     """
 
     starts: Float[np.ndarray, "M n"]
@@ -56,6 +57,7 @@ class Queue(NamedTuple):
     rtol: float
     dtmin: float
     max_steps: int
+    sense: float = 1.0
 
 
 class Results(NamedTuple):
@@ -95,7 +97,7 @@ class LaneLoop:
         own: list[bool],
         weights: Weights,
         lanes: int | None = None,
-        zeros: list[tuple[bool, ...]] | None = None,
+        zeros: Sequence[bytes] | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -115,7 +117,7 @@ class LaneLoop:
         self.dtype = np.dtype(state.dtype)
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
-        functions = lanes_source(derivative, state, leaves, own, zeros)
+        functions = lanes_source(derivative, state, leaves, own, zeros).functions
         sizes = [
             math.prod(leaf.shape)
             for leaf, differs in zip(leaves, own, strict=True)
@@ -128,6 +130,7 @@ class LaneLoop:
             "ORDER": weights.order,
             "NUMBERS": functions.numbers,
             "ROWS": functions.rows,
+            "RECORD": 0,
         }
         parts = "rows.h", functions.text, attempt_source(weights), "lane_loop.c"
         self.source = program_of(self.dtype, lanes, head, parts)
@@ -159,7 +162,7 @@ class LaneLoop:
         asked = _queue_type(self._real)(
             *(count, stops.outputs, len(slots)),
             *(x.ctypes.data for x in (*reals, slots)),
-            *(queue.time, queue.rtol, queue.dtmin, queue.max_steps),
+            *(queue.time, queue.rtol, queue.dtmin, queue.sense, queue.max_steps),
         )
         room = (ctypes.c_void_p * 6)(*(x.ctypes.data for x in results[:6]))
         turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(room))
@@ -173,6 +176,6 @@ def _queue_type(real: Any) -> Any:
         (name, ctypes.c_long) for name in ("count", "outputs", "stops")
     ]
     fields += [(f"array_{i}", ctypes.c_void_p) for i in range(8)]
-    fields += [(name, real) for name in ("time", "rtol", "dtmin")]
+    fields += [(name, real) for name in ("time", "rtol", "dtmin", "sense")]
     fields.append(("max_steps", ctypes.c_int64))
     return type("Queue", (ctypes.Structure,), {"_fields_": fields})

@@ -143,9 +143,11 @@ def literal(value: float) -> str:
     return "(real)INFINITY" if value > 0 else "-(real)INFINITY"
 
 
-def in_order(name: str, arrays: list, dtype: Any, *, row: bool) -> list[Numbers]:
-    """Numbers of fixed arrays that lie one behind the other."""
-    found, first = [], 0
+def in_order(
+    name: str, arrays: list, dtype: Any, first: int = 0, *, row: bool
+) -> list[Numbers]:
+    """Numbers of fixed arrays that lie one behind the other, from the first on."""
+    found = []
     for x in arrays:
         if x.dtype != dtype:
             raise NotElementwiseError(f"numbers of {x.dtype}")

@@ -1,15 +1,36 @@
 """A right-hand side in C: for rows of motions, and with its derivatives."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..numberwise import NotElementwiseError, Program, as_objects
+from ..checks import is_traced
+from ..numberwise import NotElementwiseError, Program, as_objects, numbers_of
 from .listing import Functions, Listing, Result, array, as_functions, in_order, symbols
+
+
+def zeros_of(x: Any) -> bytes:
+    """Which numbers of an array are zero, one byte for each; none if it is traced."""
+    return b"" if is_traced(x) else (np.asarray(x) == 0).tobytes()
+
+
+class Source(NamedTuple):
+    """A right-hand side, with or without what belongs to its derivatives.
+
+    Attributes:
+        functions: Of the rates; with those of their changes, if these are in a row.
+        closed: Traced arrays that they close over: their numbers follow those of what
+            is given in ``shared``.
+        back: Of the cotangents; None where they are not asked for.
+    """
+
+    functions: Functions
+    closed: list
+    back: Functions | None = None
 
 
 def lanes_source(
@@ -17,8 +38,8 @@ def lanes_source(
     state: jax.ShapeDtypeStruct,
     leaves: list,
     own: list[bool],
-    zeros: list[tuple[bool, ...]] | None = None,
-) -> Functions:
+    zeros: Sequence[bytes] | None = None,
+) -> Source:
     """A right-hand side for a row of motions.
 
     Args:
@@ -26,8 +47,8 @@ def lanes_source(
         state: Shape and type of y.
         leaves: Shapes and types of the model's leaves for one motion.
         own: Which of them differ from motion to motion.
-        zeros: Of each leaf, which numbers are zero for all: what they are multiplied
-            by is left out. None: not known.
+        zeros: Of each leaf, which numbers are zero for all (:func:`zeros_of`): what
+            they are multiplied by is left out. None: not known of any.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
@@ -37,7 +58,7 @@ def lanes_source(
     listing = Listing()
     values = [symbols(["t"], (), row=True), array("y", state.shape, row=True)]
     places = {"own": 0, "shared": 0}
-    zeros = [()] * len(leaves) if zeros is None else zeros
+    zeros = [b""] * len(leaves) if zeros is None else zeros
     for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
         if not np.issubdtype(leaf.dtype, np.floating):
             raise NotElementwiseError("a model with whole numbers")
@@ -49,27 +70,14 @@ def lanes_source(
                 numbers.reshape(-1)[i] = leaf.dtype.type(0)
         values.append(numbers)
         places[name] += math.prod(leaf.shape)
-    (rates,) = program(values, listing.operate)
+    closed, traced = _closed(program, places["shared"], state.dtype)
+    (rates,) = program(values, listing.operate, closed)
     stage = "row t, const row *restrict y, const row *restrict own"
-    return as_functions(listing, stage, [Result("d", rates, row=True)])
+    made = as_functions(listing, stage, [Result("d", rates, row=True)])
+    return Source(made, traced)
 
 
-class Derivative(NamedTuple):
-    """What is compiled for changes along steps, or back along them.
-
-    Attributes:
-        functions: Of the rates alone; None where those of the changes give them too.
-        changes: Of the changes.
-        closed: Arrays that the rates close over: their numbers follow those of what is
-            varied in ``shared``.
-    """
-
-    functions: Functions | None
-    changes: Functions
-    closed: list
-
-
-def tangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
+def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
     """A right-hand side of one motion together with its changes along a row.
 
     Args:
@@ -87,17 +95,18 @@ def tangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
 
     time, like = _like([jnp.zeros((), state.dtype), *varied])
     program = Program(changes, time, state, like, state, like)
-    given, closed = _given(state, like, program.closed)
+    given, size = _given(state, like)
+    closed, traced = _closed(program, size, state.dtype)
     rows = array("dy", state.shape, row=True)
     moved = in_order("moved", like, state.dtype, row=True)
     listing = Listing()
     found = program([*given, rows, *moved], listing.operate, closed)
     stage = "real t, const real *restrict y, const row *restrict dy"
     results = [Result("d", found[0]), Result("dd", found[1], row=True)]
-    return Derivative(None, as_functions(listing, stage, results), program.closed)
+    return Source(as_functions(listing, stage, results), traced)
 
 
-def cotangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
+def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
     """A right-hand side of one motion, and what a cotangent of its rates becomes.
 
     That of the state, and what it adds to those of what is varied.
@@ -118,22 +127,22 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Derivative:
     time, like = _like([jnp.zeros((), state.dtype), *varied])
     there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
     back = Program(pulled, time, state, like, state)
-    given, closed = _given(state, like, [*there.closed, *back.closed])
+    given, size = _given(state, like)
+    closed, traced = _closed(there, size, state.dtype)
+    size += sum(math.prod(x.shape) for x in traced)
+    closed_back, traced_back = _closed(back, size, state.dtype)
     listing = Listing()
-    found = there(given, listing.operate, closed[: len(there.closed)])
+    found = there(given, listing.operate, closed)
     stage = "real t, const real *restrict y"
     functions = as_functions(listing, stage, [Result("d", found[0])])
     listing = Listing()
     asked = array("asked", state.shape, row=False)
-    found = back([*given, asked], listing.operate, closed[len(there.closed) :])
-    numbers = [x for part in found[1:] for x in part.reshape(-1)]
-    results = [
-        Result("g", found[0]),
-        Result("m", as_objects(numbers, (-1,)), adds=True),
-    ]
+    found = back([*given, asked], listing.operate, closed_back)
+    numbers = as_objects([x for part in found[1:] for x in part.reshape(-1)], (-1,))
+    results = [Result("g", found[0]), Result("m", numbers, adds=True)]
     stage = f"{stage}, const real *restrict asked"
     changes = as_functions(listing, stage, results, "_back")
-    return Derivative(functions, changes, [*there.closed, *back.closed])
+    return Source(functions, [*traced, *traced_back], changes)
 
 
 def _like(arrays: list) -> tuple[Any, list]:
@@ -141,8 +150,17 @@ def _like(arrays: list) -> tuple[Any, list]:
     return first, rest
 
 
-def _given(state: Any, like: list, closed: list) -> tuple[list, list]:
-    """Time, state and what is varied as symbols, and what is closed over."""
+def _given(state: Any, like: list) -> tuple[list, int]:
+    """Time, state and what is varied as symbols, and how many numbers that has."""
     given = [symbols(["t"], (), row=False), array("y", state.shape, row=False)]
-    shared = in_order("shared", [*like, *closed], state.dtype, row=False)
-    return given + shared[: len(like)], shared[len(like) :]
+    shared = in_order("shared", like, state.dtype, row=False)
+    return given + shared, sum(x.size for x in shared)
+
+
+def _closed(program: Program, first: int, dtype: Any) -> tuple[list, list]:
+    """Numbers of what a program closes over, and what of it is traced."""
+    traced = [x for x in program.closed if is_traced(x)]
+    given = iter(in_order("shared", traced, dtype, first, row=False))
+    return [
+        next(given) if is_traced(x) else numbers_of(x) for x in program.closed
+    ], traced

@@ -8,12 +8,12 @@
 
 enum { SHARED_AT, MOVED_AT, Y_AT, DY_AT, WAY_AT };
 
-static void show(char *shown, long output, const row *dy) {
-    memcpy(shown + output * N * sizeof(row), dy, N * sizeof(row));
+static void show(real *shown, long output, const row *dy) {
+    memcpy(shown + output * N * LANES, dy, N * sizeof(row));
 }
 
 static void push(const Way *way, const real *shared, const row *moved, real *y, row *dy,
-                 char *shown) {
+                 real *shown) {
     real u[NUMBERS + 1];
     row v[ROWS + 1], unreached[N];
     long output = 1;
@@ -40,7 +40,6 @@ XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
     for (long b = 0; b < call.batch; b++)
         for (long g = 0; g < groups; g++) {
             const Way way = way_of(&call, WAY_AT, b);
-            const long n = (b * groups + g) * N * sizeof(row);
             /* XLA's buffers need not begin where rows may */
             row moved[MOVED + 1], dy[N];
             real y[N];
@@ -49,8 +48,8 @@ XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
             memcpy(dy, member(&call, DY_AT, b) + g * N * LANES, sizeof dy);
             memcpy(y, member(&call, Y_AT, b), sizeof y);
             push(&way, member(&call, SHARED_AT, b), moved, y, dy,
-                 call.results[0] + n * way.output_count);
-            memcpy(call.results[1] + n, dy, sizeof dy);
+                 wanted(&call, 0, b) + g * way.output_count * N * LANES);
+            memcpy(wanted(&call, 1, b) + g * N * LANES, dy, sizeof dy);
         }
     return NULL;
 }

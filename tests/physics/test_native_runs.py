@@ -1,0 +1,118 @@
+"""Runs of ``simulate`` in the loop in C: diffrax's, and what JAX does with them."""
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+
+from .. import problems
+
+TIMES = np.array([0.0, 0.1, 0.3])
+# Steps of the same lengths, rounded in another order: some tens of steps with tens of
+# roundings of numbers up to six, 1e-15 each, in motions that make ten times as much of a
+# difference at the start.
+ROUNDING = {"rtol": 0, "atol": 1e-11}
+
+
+def disc():
+    return problems.disc(6.0)
+
+
+def shaken():
+    """A body on a base whose acceleration jumps on an output and between two."""
+
+    def sway(t, p):
+        on = jnp.where(t < 0.1, 0.0, jnp.where(t < 0.17, 1.0, -1.0))
+        return jnp.stack([p * on * (t - 0.1) ** 2, 0.0 * t, 0.0 * t])
+
+    motion = rk.BaseMotion(sway, parameters=jnp.asarray(0.5), kinks=[0.1, 0.17])
+    surface = rk.Ellipsoid([0.1, 0.08, 0.06])
+    body = rk.Body(1.0, np.diag([1e-3, 1.2e-3, 1.5e-3]), surface)
+    scene = rk.Scene(body, rk.Base(motion=motion))
+    return scene, rk.place(scene, [1.0, 0.0, 0.0, 0.0], [0.3, 0.2, 4.0], [0.0] * 3)
+
+
+def same(native, slow):
+    for a, b in zip(*map(jax.tree.leaves, (native, slow)), strict=True):
+        np.testing.assert_allclose(a, b, **ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("made", "how"),
+    [
+        (disc, {}),
+        (disc, {"formulation": "euler_lagrange", "solver": dfx.Tsit5()}),
+        (disc, {"coordinates": "voronets", "solver": dfx.Dopri5(), "dt0": 1e-3}),
+        (shaken, {"solver": dfx.Bosh3(), "rtol": 1e-6}),
+    ],
+)
+def test_equal_to_diffrax(made, how):
+    scene, start = made()
+    runs = [
+        rk.simulate(scene, start, TIMES, method=method, **how)
+        for method in ("native", "diffrax")
+    ]
+    assert runs[0].code == rk.Code.COMPLETED
+    same(*(eqx.tree_at(lambda r: r.scene, run, None) for run in runs))
+
+
+def test_derivatives_batches_and_the_way_back():
+    """Through jit, vmap, forward and reverse mode, in both directions of time."""
+    scene, start = shaken()
+
+    def end(method, p, spin):
+        moved = eqx.tree_at(lambda s: s.base.motion.parameters, scene, p[0])
+        moved = eqx.tree_at(lambda s: s.body.mass, moved, p[1])
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        there = rk.simulate(moved, begun, TIMES, method=method, solver=dfx.Tsit5())
+        middle = jax.tree.map(lambda x: x[1], there.state)
+        back = rk.simulate(
+            moved, middle, TIMES[1::-1], method=method, solver=dfx.Tsit5()
+        )
+        return there.state.contact_on_base[-1, 0] + back.final_state.angular_velocity[0]
+
+    at = jnp.asarray([0.5, 1.0])
+    spins = start.angular_velocity[None] + jnp.asarray([[0.0] * 3, [0.7] * 3])
+    found = []
+    for method in ("native", "diffrax"):
+        one = lambda p, spin, method=method: end(method, p, spin)
+        ahead = jax.vmap(jax.value_and_grad(one, (0, 1)), (None, 0))
+        back = jax.vmap(jax.jacfwd(one, (0, 1)), (None, 0))
+        both = lambda p, s, a=ahead, b=back: (a(p, s), b(p, s))
+        found.append(jax.jit(both)(at, spins))
+    same(*found)
+    (_, reverse), forward = found[0]
+    same(reverse, forward)
+    assert np.abs(np.asarray(forward[0][:, 0])).min() > 1e-3
+
+
+def test_a_run_that_cannot_go_on_says_so():
+    scene, start = disc()
+    run = lambda start, times, most: rk.simulate(
+        scene, start, times, method="native", max_steps=most
+    )
+    short = run(start, TIMES, 3)
+    assert (short.code, short.steps + short.rejected_steps) == (rk.Code.MAX_STEPS, 3)
+    assert 0.0 < short.final_time < 0.1
+    assert np.isnan(short.state.orientation[1:]).all()
+    bad = [[0.0, np.nan, 0.3], [0.0, 0.3, 0.1], [0.0, np.nan, np.nan], TIMES]
+    lanes = jax.vmap(lambda times: run(start, times, 100))(jnp.asarray(bad))
+    assert lanes.code.tolist() == [*3 * [rk.Code.BAD_START], rk.Code.COMPLETED]
+    lost = eqx.tree_at(lambda s: s.angular_velocity, start, jnp.full(3, jnp.nan))
+    assert run(lost, TIMES, 100).code == rk.Code.BAD_START
+
+
+def test_what_is_more_than_arithmetic_is_refused():
+    def found(x, y):
+        return 0.01 * jnp.interp(x, jnp.linspace(0.0, 4.0, 5), jnp.arange(5.0) ** 2)
+
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)), rk.Base(rk.Graph(found))
+    )
+    start = rk.place(scene, [1.0, 0.0, 0.0, 0.0], [0.5, 2.0, 1.0], [0.0] * 3)
+    with pytest.raises(rk.FieldError, match="cannot do this"):
+        rk.simulate(scene, start, TIMES, method="native")
