@@ -20,13 +20,14 @@ from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
 from .modes import Modes
 from .scene import Scene
-from .simulation import check_span, check_start, simulate
+from .simulation import NotNativeError, check_span, check_start, simulate
 from .solving import UNRECORDED_STEPS
 from .trajectory import Code, reason_of
 
 # what a block's states may take [bytes]
 _ROOM = 2**25
 _MOST_IN_BLOCK = 8192
+_NO_MODES = "runs with modes need the loop of simulate"
 _METHODS = ("auto", "native", "diffrax")
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
@@ -96,9 +97,10 @@ def ensemble(
     The steps are those of :func:`rollkane.simulate`; a member that cannot go on ends
     with a code of its own and disturbs no other. On a CPU the right-hand side is
     compiled together with a loop in which every lane of the processor's vectors
-    follows its own motion at its own step size (method ``"native"``); what that loop
+    follows its own motion at its own step size (method ``"native"``; where an argument
+    is traced, ``simulate``'s loop of one lane, motion after motion); what that loop
     does not have (modes, other solvers, records, a machine without a C compiler, a
-    GPU, derivatives) runs as ``simulate`` under ``jax.vmap`` (``"diffrax"``).
+    GPU) runs as ``simulate`` under ``jax.vmap`` (``"diffrax"``).
 
     Args:
         scene: Scene; every number of it may have an axis of N members in front, as
@@ -214,7 +216,8 @@ class _Run:
         self.why, self.lanes = "", None
         if not self.traced:
             self._check(modes)
-        if method != "diffrax":
+        self.method = method
+        if method != "diffrax" and not self.traced:
             self._choose(method)
         self.block = self._size(block)
         self.workers = _whole("workers", workers, _processors())
@@ -238,10 +241,8 @@ class _Run:
             self.why = str(error)
 
     def _by_lanes(self) -> LaneBlocks:
-        if self.traced:
-            raise NotForLanesError("derivatives and traced arguments need diffrax")
         if self.how["modes"] is not None:
-            raise NotForLanesError("runs with modes need the loop of simulate")
+            raise NotForLanesError(_NO_MODES)
         if jax.default_backend() != "cpu":
             raise NotForLanesError(f"numbers are on a {jax.default_backend()}")
         return LaneBlocks(
@@ -263,8 +264,18 @@ class _Run:
 
     def whole(self) -> Ensemble:
         """All members at once, as JAX arrays."""
-        scene, starts = self.members.block(0, self.members.count)
-        return self._by_diffrax(scene, starts, 0, self.members.count)
+        every = *self.members.block(0, self.members.count), 0, self.members.count
+        if self.method == "diffrax":
+            return self._simulated(*every)
+        try:
+            if self.how["modes"] is not None:
+                raise NotNativeError(_NO_MODES)
+            return self._simulated(*every, method="native")
+        except NotNativeError as error:
+            if self.method == "native":
+                raise
+            self.why = error.problem
+        return self._simulated(*every)
 
     def blocks(self) -> Iterator[Ensemble]:
         """The blocks in order; while one is taken, the next ones are computed."""
@@ -283,7 +294,7 @@ class _Run:
         count = min(self.block, self.members.count - first)
         scene, starts = self.members.block(first, first + count)
         scene, starts = self._filled(scene, starts, count)
-        run = self._by_diffrax if self.lanes is None else self._in_lanes
+        run = self._simulated if self.lanes is None else self._in_lanes
         return run(scene, starts, first, count)
 
     def _filled(self, scene, starts, count: int):
@@ -304,9 +315,7 @@ class _Run:
         assert self.lanes is not None
         y, results = self.lanes.run(scene, starts, self.block)
         return self._ensemble(
-            first,
-            count,
-            scene,
+            *("native", first, count, scene),
             self.lanes.states(y),
             results.code,
             results.final_time,
@@ -315,18 +324,19 @@ class _Run:
             results.rejected_steps,
         )
 
-    def _by_diffrax(self, scene, starts, first: int, count: int) -> Ensemble:
+    def _simulated(
+        self, scene, starts, first: int, count: int, method: str = "diffrax"
+    ) -> Ensemble:
         # as arrays: another tolerance compiles nothing
         dtype = self.times.dtype
         sizes = {"rtol": jnp.asarray(self.rtol, dtype)}
         if self.atol is not None:
             sizes["atol"] = jnp.asarray(self.atol, dtype)
         axes = self.members.axes()
-        run = _simulated(axes, self.how, sizes, scene, starts, self.times)
+        how = self.how | {"method": method}
+        run = _simulated(axes, how, sizes, scene, starts, self.times)
         return self._ensemble(
-            first,
-            count,
-            scene,
+            *(method, first, count, scene),
             run.state,
             run.code,
             run.final_time,
@@ -335,7 +345,7 @@ class _Run:
             run.rejected_steps,
         )
 
-    def _ensemble(self, first, count, scene, state, *rest) -> Ensemble:
+    def _ensemble(self, method, first, count, scene, state, *rest) -> Ensemble:
         observed = None
         if self.observe is not None:
             axes = self.members.axes()[0]
@@ -345,7 +355,6 @@ class _Run:
         if not self.traced:
             # without what filled the block up
             parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
-        method = "diffrax" if self.lanes is None else "native"
         times: Any = self.times
         return Ensemble(times, *parts, first=first, method=method, why=self.why)
 

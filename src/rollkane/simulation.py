@@ -91,10 +91,10 @@ def simulate(
             follow 65536 (and are NaN beyond, never quietly wrong).
         progress_meter: diffrax progress meter.
         method: ``"diffrax"``, or ``"native"``: the same steps in the compiled C loop
-            of :func:`rollkane.ensemble`, faster and without compiling by XLA, with
-            NumPy arrays for results; only ``rtol``, ``atol``, ``solver`` (Bosh3, Tsit5,
-            Dopri5, Dopri8) and ``max_steps`` can be chosen with it, and it cannot be
-            differentiated.
+            of :func:`rollkane.ensemble`, on a CPU, a fraction of the time and of the
+            wait for the first result; ``solver`` is one of Bosh3, Tsit5, Dopri5 and
+            Dopri8, the rates are arithmetic, and ``modes``, ``stepsize_controller``,
+            ``adjoint``, ``saveat`` and ``progress_meter`` cannot be chosen.
 
     Returns:
         The trajectory.
@@ -148,7 +148,7 @@ def simulate(
             native=method == "native",
         )
     except (NotElementwiseError, NoCompilerError) as error:
-        raise _not_native(f"cannot do this: {error}") from error
+        raise NotNativeError(f"cannot do this: {error}") from error
     return Trajectory(
         time=outcome.time,
         state=outcome.state,
@@ -169,8 +169,13 @@ def _refuse(having: str, given: dict[str, bool]) -> None:
             raise FieldError(f"simulate.{name}", "...", problem, remedy)
 
 
-def _not_native(problem: str) -> FieldError:
-    return FieldError("simulate.method", "native", problem, 'use method="diffrax"')
+class NotNativeError(FieldError):
+    """The loop in C cannot do what is asked of it."""
+
+    def __init__(self, problem: str):
+        """Say why."""
+        remedy = 'use method="diffrax"'
+        super().__init__("simulate.method", "native", problem, remedy)
 
 
 def _check_native(solver: dfx.AbstractSolver | None) -> None:
@@ -178,9 +183,9 @@ def _check_native(solver: dfx.AbstractSolver | None) -> None:
     if solver is not None and not is_plain(solver):
         known = ", ".join(kind.__name__ for kind in PLAIN)
         name = type(solver).__name__
-        raise _not_native(f"cannot do this: {name} is none of {known}")
+        raise NotNativeError(f"cannot do this: {name} is none of {known}")
     if jax.default_backend() != "cpu":
-        raise _not_native("runs on the CPU only, which is not JAX's default here")
+        raise NotNativeError("runs on the CPU only, which is not JAX's default here")
 
 
 def _simulate_modes(

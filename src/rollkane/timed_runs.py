@@ -79,10 +79,9 @@ class Setting:
             "solver": getattr(dfx, self.solver)(),
             "method": self.method,
             "max_steps": _MOST_STEPS,
+            "coordinates": self.coordinates,
+            "formulation": self.formulation,
         }
-        if self.method == "diffrax":
-            options["coordinates"] = self.coordinates
-            options["formulation"] = self.formulation
         if self.steps is None:
             return options | {"rtol": self.rtol}
         return options | {
@@ -163,11 +162,8 @@ def unfit(setting: Setting) -> str:
         least = _LEAST_TOLERANCE[setting.precision]
         if setting.rtol < 0.99 * least:
             return f"tolerances below {least:.0e} only add rounding"
-    if setting.method == "native":
-        if setting.steps is not None:
-            return "the native loop has no fixed steps"
-        if (setting.coordinates, setting.formulation) != ("pole-free", "rolling"):
-            return "the native loop has pole-free coordinates and rolling alone"
+    if setting.method == "native" and setting.steps is not None:
+        return "the native loop has no fixed steps"
     return ""
 
 

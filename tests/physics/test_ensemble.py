@@ -172,13 +172,16 @@ def test_members_that_are_made_when_needed(runs):
     )
 
 
-def test_derivatives_go_through_the_ensemble():
+@pytest.mark.parametrize("method", ["auto", "diffrax"])
+def test_derivatives_go_through_the_ensemble(method):
     """Those of each member alone."""
     scene, starts = discs(3)
 
     def end(radius):
         wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
-        return rk.ensemble(wider, starts, [0.0, 0.1]).state.angular_velocity[1, -1, 0]
+        run = rk.ensemble(wider, starts, [0.0, 0.1], method=method)
+        assert run.method == ("native" if method == "auto" else "diffrax")
+        return run.state.angular_velocity[1, -1, 0]
 
     def alone(radius):
         wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
