@@ -3,12 +3,14 @@
     python benchmarks/compare.py [--out FOLDER] [--repeats N] [--quick]
 
 P1 (ball on a turntable), P2 (thin disc), P3 (rattleback): error against time of one
-motion for all; motions per second at 1 to 100,000 motions; cost and truth of gradients.
+motion for all (rollkane's inside of a jitted function, as a program calls it); motions
+per second at 1 to 100,000 motions; cost and truth of gradients.
 Peers run in environments of their own (`make bench-peers` makes them); one that is not
 there is skipped by name, with the reason. Prints tables, writes JSON and two diagrams.
 """
 
 import argparse
+import functools
 import json
 import os
 import platform
@@ -96,10 +98,17 @@ def our_run(name: str, method: str, solver: str, rtol: float, repeats: int) -> d
         end = 10.0
     else:
         (scene, start), exact, end = scene_of(name), None, PROBLEMS[name]["t_end"]
-    how = {"rtol": rtol, "solver": getattr(dfx, solver)(), "method": method}
-    run = lambda: rk.simulate(scene, start, (0.0, end), **how)
-    seconds, first = median(lambda: run().final_state, repeats)
-    result = run()
+    run = functools.partial(
+        rk.simulate,
+        scene,
+        times=(0.0, end),
+        solver=getattr(dfx, solver)(),
+        method=method,
+    )
+    inside = _inside(name, method, solver, run)
+    seconds, first = median(lambda: inside(start, rtol).final_state, repeats)
+    bare, _ = median(lambda: run(start, rtol=rtol).final_state, repeats)
+    result = run(start, rtol=rtol)
     if exact is not None:
         place = np.asarray(result.position[-1])[:2]
         error = float(np.linalg.norm(place - exact))
@@ -112,9 +121,21 @@ def our_run(name: str, method: str, solver: str, rtol: float, repeats: int) -> d
         "setting": f"rtol {rtol:.0e}",
         "error": error,
         "seconds": seconds,
+        "bare": bare,
         "steps": int(result.steps + result.rejected_steps),
         "first": first,
     }
+
+
+_compiled = {}
+
+
+def _inside(name: str, method: str, solver: str, run):
+    """A run inside of a jitted function, one for all tolerances."""
+    key = name, method, solver
+    if key not in _compiled:
+        _compiled[key] = jax.jit(lambda start, rtol: run(start, rtol=rtol))
+    return _compiled[key]
 
 
 def c_and_diffrax(repeats: int) -> tuple[list[dict], list[str]]:
@@ -278,9 +299,9 @@ def richardson(name: str, end: float) -> np.ndarray:
     return np.array(found)
 
 
-def gradients(name: str, end: float, repeats: int) -> list[dict]:
+def gradients(name: str, end: float, method: str, repeats: int) -> list[dict]:
     """Cost in forward solves, truth and memory of derivatives by one and eight."""
-    value = end_number(name, end)
+    value = end_number(name, end, method)
     exact = richardson(name, end)
     nought = jnp.zeros(8)
     plain = jax.jit(value)
@@ -304,7 +325,9 @@ def gradients(name: str, end: float, repeats: int) -> list[dict]:
             {
                 "problem": name,
                 "end": end,
+                "method": method,
                 "mode": label,
+                "seconds": seconds,
                 "solves": seconds / base,
                 "off": float(off),
                 "first": first,
@@ -351,8 +374,9 @@ def show_rest(batch: list[dict], slopes: list[dict]) -> None:
     print("\nDerivatives of an end by 1 and by 8 parameters, in solves at rtol 1e-10:")
     for row in slopes:
         print(
-            f"{row['problem']:4}{row['end']:4.0f} s  {row['mode']:12}"
-            f"{row['solves']:8.2f} solves, off by {row['off']:.1e}, "
+            f"{row['problem']:4}{row['end']:4.0f} s  {row['method']:8}{row['mode']:12}"
+            f"{1e3 * row['seconds']:9.3f} ms, {row['solves']:.2f} solves, "
+            f"off by {row['off']:.1e}, "
             f"first call {row['first']:.1f} s, "
             f"{row['temporaries'] / STEPS:5.0f} bytes a step"
         )
@@ -418,9 +442,18 @@ def main() -> None:
     equal = show_single(rows)
     counts = COUNTS[:2] if options.quick else COUNTS
     batch, why = throughput(options.repeats, counts)
-    slopes = [row for case in GRADIENTS for row in gradients(*case, options.repeats)]
+    slopes = [
+        row
+        for case in GRADIENTS
+        for method in ("diffrax", "native")
+        for row in gradients(*case, method, options.repeats)
+    ]
     show_rest(batch, slopes)
     notes += why
+    for method in ("diffrax", "native"):
+        mine = [r for r in rows if method in r["peer"] and "bare" in r]
+        more = statistics.median(r["bare"] - r["seconds"] for r in mine)
+        notes.append(f"A bare call by {method} takes {1e3 * more:.2f} ms more.")
     for note in notes:
         print(note)
     options.out.mkdir(parents=True, exist_ok=True)
