@@ -39,7 +39,6 @@ class LaneBlocks:
         atol: float | None,
         solver: dfx.AbstractSolver,
         max_steps: int,
-        lanes: int | None = None,
     ):
         """Compile the loop for these members, unless it has been compiled before.
 
@@ -50,7 +49,6 @@ class LaneBlocks:
             atol: Absolute tolerance of a step [unit of the state], or None.
             solver: diffrax solver.
             max_steps: Most steps of a member.
-            lanes: How many advance together; by default as many as fit a vector.
 
         Raises:
             NotForLanesError: with the reason.
@@ -74,7 +72,6 @@ class LaneBlocks:
             own=own,
             state=jax.tree.structure(self.like),
             sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
-            lanes=lanes,
             # what differs from member to member is not known
             zeros=tuple(
                 zeros_of(x) if axis is None else b""
@@ -173,7 +170,6 @@ class _Kind(NamedTuple):
     own: tuple[bool, ...]
     state: Any
     sizes: tuple
-    lanes: int | None
     zeros: tuple[bytes, ...]
 
 
@@ -193,8 +189,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves],
         list(kind.own),
         weights_of(solver(), "the loop over lanes"),
-        kind.lanes,
-        kind.zeros,
+        zeros=kind.zeros,
     )
 
 

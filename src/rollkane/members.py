@@ -63,13 +63,6 @@ class Members(NamedTuple):
         )
 
 
-def single(scene: Scene, start: State) -> Members:
-    """An ensemble of one."""
-    starts = jax.tree.map(lambda x: np.asarray(x)[None], start)
-    nothing: list[int | None] = [None for _ in jax.tree.leaves(scene)]
-    return Members(1, scene, starts, nothing, [0 for _ in jax.tree.leaves(start)])
-
-
 def members_of(
     scene: Any, starts: Any, count: int | None, scene_axes: Any = None
 ) -> Members:

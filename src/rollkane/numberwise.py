@@ -8,7 +8,6 @@ or one falls away, and only arithmetic is left: 217 operations on numbers instea
 equations on arrays for a disc on a plane.
 """
 
-import math
 import operator
 from collections.abc import Callable
 from typing import Any
@@ -80,12 +79,10 @@ class Program:
     Attributes:
         outputs: Shapes and types of the outputs, in order of leaves.
         closed: Arrays that it closes over.
-        size: How many numbers it is given, those that it closes over included.
     """
 
     outputs: list[jax.ShapeDtypeStruct]
     closed: list[Any]
-    size: int
 
     def __init__(self, function: Callable, *arguments: Any):
         """Trace a function.
@@ -99,8 +96,6 @@ class Program:
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]
         self.closed = self._closed.consts
-        known = *self._closed.in_avals, *self.closed
-        self.size = sum(math.prod(x.shape) for x in known)
 
     def __call__(
         self,
