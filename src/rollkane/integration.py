@@ -278,7 +278,7 @@ def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     double = dtype == jnp.float64
     rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
     atol = 0.01 * rtol if atol is None else atol
-    least = 10 * float(jnp.finfo(dtype).eps)
+    least = 10 * float(np.finfo(np.dtype(dtype)).eps)
     for field, value, floor in (("rtol", rtol, least), ("atol", atol, 0.0)):
         if is_traced(value):
             continue

@@ -39,6 +39,7 @@ class LaneBlocks:
         atol: float | None,
         solver: dfx.AbstractSolver,
         max_steps: int,
+        extended: bool = False,
     ):
         """Compile the loop for these members, unless it has been compiled before.
 
@@ -49,6 +50,8 @@ class LaneBlocks:
             atol: Absolute tolerance of a step [unit of the state], or None.
             solver: diffrax solver.
             max_steps: Most steps of a member.
+            extended: Whether to compute with C's long doubles; what comes out is
+                rounded to the precision that goes in.
 
         Raises:
             NotForLanesError: with the reason.
@@ -60,13 +63,15 @@ class LaneBlocks:
         self.like = jax.tree.map(_shape_of, start)
         self._members = members
         self._times, self._max_steps = times, max_steps
-        self._rtol, self._atol = tolerances(rtol, atol, times.dtype)
+        dtype = np.longdouble if extended else times.dtype
+        self._rtol, self._atol = tolerances(rtol, atol, dtype)
         self._by_size = atol is None
         leaves, tree = jax.tree.flatten(scene)
         own = tuple(axis is not None for axis in members.scene_axes)
         self._has_margin = has_margin(scene)
         self._stops = self._landings(scene, members)
         kind = _Kind(
+            extended=extended,
             tree=tree,
             leaves=tuple((x.shape, x.dtype) for x in leaves),
             own=own,
@@ -131,7 +136,7 @@ class LaneBlocks:
                 own.append(leaf.reshape(count, -1))
         scale = sizes if self._by_size else np.ones_like(y0)
         sense = -1.0 if self._times[-1] < self._times[0] else 1.0
-        eps = np.finfo(y0.dtype).eps
+        eps = np.finfo(self._loop.dtype).eps
         queue = Queue(
             starts=y0,
             atol=float(self._atol) * scale,
@@ -145,8 +150,12 @@ class LaneBlocks:
             sense=sense,
         )
         results = self._loop.run(queue, self._stops)
+        results = results._replace(
+            y=results.y.astype(y0.dtype),
+            final_y=results.final_y.astype(y0.dtype),
+            final_time=(sense * results.final_time).astype(y0.dtype),
+        )
         y = np.concatenate([y0[:, None], results.y], axis=1)
-        results = results._replace(final_time=sense * results.final_time)
         if self._has_margin:
             results = results._replace(code=self._code(scene, results))
         return y, results
@@ -171,6 +180,7 @@ class _Kind(NamedTuple):
     state: Any
     sizes: tuple
     zeros: tuple[bytes, ...]
+    extended: bool
 
 
 @functools.lru_cache(maxsize=64)
@@ -190,6 +200,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         list(kind.own),
         weights_of(solver(), "the loop over lanes"),
         zeros=kind.zeros,
+        extended=kind.extended,
     )
 
 

@@ -1,12 +1,14 @@
 """One run of a scene, timed, and how far its end is from a reference.
 
-The reference is the finest run that double precision allows; how far two others like it
-end from it is how sure it is, and no error below that is called one.
+The reference is a run in extended precision (C's long doubles, of 64 bits on most
+processors), or the finest that double precision allows; how far others like it end from
+it is how sure it is, and no error below that is called one.
 """
 
 import dataclasses
 import statistics
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import diffrax as dfx
@@ -17,6 +19,8 @@ import numpy as np
 
 from .checks import FieldError
 from .coordinates import State
+from .lane_blocks import LaneBlocks, NotForLanesError
+from .members import members_of
 from .observables import energy, kept_energy, moving_energy
 from .one_call import for_one_call
 from .rolling import contact_of
@@ -31,6 +35,9 @@ PRECISIONS = {"double": jnp.float64, "single": jnp.float32}
 # below these a precision only adds rounding
 _LEAST_TOLERANCE = {"double": 1e-14, "single": 2e-6}
 _REFERENCES = (("Dopri8", 1e-14), ("Dopri8", 1e-13), ("Tsit5", 1e-13))
+# the coefficients of Dopri5 are fractions, and so known to any precision
+_EXTENDED = (1e-17, 1e-16)
+_EXTENDED_BITS = 64
 _MOST_STEPS = 4_000_000
 
 
@@ -185,27 +192,59 @@ class Reference(NamedTuple):
 
 
 def reference_of(task: Task) -> Reference:
-    """The finest runs by two methods of different order."""
+    """The finest runs: in extended precision, or by two methods in double."""
     method = "native"
     try:
         _run(task, Setting("Dopri8", 1e-6, None, method))
     except FieldError:
         method = "diffrax"
-    ends = []
-    for solver, rtol in _REFERENCES:
-        run = _run(task, Setting(solver, rtol, None, method))
+    extended = _extended(task) if method == "native" else None
+    runs = extended or [
+        (f"{solver} at {rtol:.0e}", _run(task, Setting(solver, rtol, None, method)))
+        for solver, rtol in _REFERENCES
+    ]
+    for name, run in runs:
         if int(run.code) != Code.COMPLETED:
             raise FieldError(
                 "work_precision.scene",
                 task.name,
-                f"has no reference: at rtol {rtol:.0e} {solver} ended at "
+                f"has no reference: {name} ended at "
                 f"t = {float(run.final_time):.6g} s ({reason_of(run.code)})",
                 "shorten the horizon",
             )
-        ends.append(_end_of(run))
+    ends = [_end_of(run) for _, run in runs]
     apart = [max(_differences(ends[0], end)) for end in ends[1:]]
-    text = " and ".join(f"{solver} at {rtol:.0e}" for solver, rtol in _REFERENCES)
-    return Reference(ends[0], max(apart), text, method)
+    # ends are compared in double precision, however they were found
+    rounding = np.finfo(float).eps * max(1.0, *map(abs, ends[0].position))
+    text = " and ".join(name for name, _ in runs)
+    return Reference(ends[0], max(rounding, *apart), text, method)
+
+
+def _extended(task: Task) -> list[tuple[str, Trajectory]] | None:
+    """Runs with C's long doubles; None where these are no more than doubles."""
+    bits = np.finfo(np.longdouble).nmant + 1
+    if bits < _EXTENDED_BITS:
+        return None
+    scene, start = task.scene, task.start
+    times = np.array([0.0, task.horizon])
+    members = members_of(scene, jax.tree.map(lambda x: np.asarray(x)[None], start), 1)
+    how = None, dfx.Dopri5(), _MOST_STEPS
+    try:
+        loops = [
+            LaneBlocks(members, times, rtol, *how, extended=True) for rtol in _EXTENDED
+        ]
+    except NotForLanesError:
+        return None
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda loop: loop.run(*members.block(0, 1), 1), loops))
+    runs = []
+    for loop, rtol, (y, out) in zip(loops, _EXTENDED, found, strict=True):
+        every = loop.states(y), out.code, out.final_time, loop.states(out.final_y)
+        state, code, *ended = jax.tree.map(lambda x: x[0], every)
+        parts: Any = times, state, scene, code, *ended
+        run = Trajectory(*parts, out.steps[0], out.rejected_steps[0])
+        runs.append((f"Dopri5 at {rtol:.0e} in {bits} bits", run))
+    return runs
 
 
 def _run(task: Task, setting: Setting) -> Trajectory:

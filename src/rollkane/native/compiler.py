@@ -15,6 +15,11 @@ import numpy as np
 
 # sqrt need not set errno, which a loop over lanes could not do in one instruction
 _FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared")
+# C's names of other numbers than double, and how it calls its functions for them
+_REALS = {
+    np.dtype(np.float32): ("float", "name##f"),
+    np.dtype(np.longdouble): ("long double", "name##l"),
+}
 # for the processor at hand, by the compilers' different names; else for any
 _PROCESSOR = (("-march=native",), ("-mcpu=native",), ())
 _PATIENCE = 300.0  # of a compiler that hangs [s]
@@ -74,7 +79,8 @@ def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
     """
     dtype = np.dtype(dtype)
     double = dtype == np.float64
-    lines = [f"typedef {'double' if double else 'float'} real;"]
+    kind, named = ("double", "name") if double else _REALS[dtype]
+    lines = [f"typedef {kind} real;", f"#define C(name) {named}"]
     known = {
         "REAL_IS_DOUBLE": int(double),
         "BYTES": lanes * dtype.itemsize,

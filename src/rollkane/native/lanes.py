@@ -98,6 +98,7 @@ class LaneLoop:
         weights: Weights,
         lanes: int | None = None,
         zeros: Sequence[bytes] | None = None,
+        extended: bool = False,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -110,11 +111,15 @@ class LaneLoop:
             lanes: How many; what a vector of 64 bytes holds by default.
             zeros: Of each leaf, which numbers are zero for all; None: not known.
 
+            extended: Whether it computes with C's long doubles, of 64 bits on most
+                processors, and one motion after the other.
+
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
             NoCompilerError: no C compiler.
         """
-        self.dtype = np.dtype(state.dtype)
+        self.dtype = np.dtype(np.longdouble if extended else state.dtype)
+        lanes = 1 if extended else lanes
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
         functions = lanes_source(derivative, state, leaves, own, zeros).functions
@@ -136,8 +141,8 @@ class LaneLoop:
         self.source = program_of(self.dtype, lanes, head, parts)
         self._library = compiled(self.source)
         self._library.integrate.restype = ctypes.c_int64
-        double = self.dtype == np.float64
-        self._real = ctypes.c_double if double else ctypes.c_float
+        sizes = ctypes.c_float, ctypes.c_double, ctypes.c_longdouble
+        self._real = next(x for x in sizes if ctypes.sizeof(x) == self.dtype.itemsize)
 
     def run(self, queue: Queue, stops: Stops) -> Results:
         """Integrate a queue of motions; other threads of Python go on meanwhile."""

@@ -1,5 +1,5 @@
 /* Numbers, and rows of one number for each lane. Generated before this text: real,
- * REAL_IS_DOUBLE, BYTES (of a row), ONE_LANE.
+ * C (a function's name for it), REAL_IS_DOUBLE, BYTES (of a row), ONE_LANE.
  */
 #include <math.h>
 #include <stdint.h>
@@ -54,11 +54,6 @@ INLINE row sign_row(row a) {
     return choose_row(a > 0, one, choose_row(a < 0, -one, a));
 }
 INLINE real sign_one(real a) { return a > 0 ? 1 : a < 0 ? -1 : a; }
-#if REAL_IS_DOUBLE
-#define C(name) name
-#else
-#define C(name) name##f
-#endif
 #define ONE(name, f)                                                                   \
     INLINE real name##_one(real x) { return C(f)(x); }                                 \
     INLINE row name##_row(row x) {                                                     \

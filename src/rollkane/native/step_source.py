@@ -1,8 +1,11 @@
 """Steps of Runge-Kutta methods in C, around a right-hand side's functions."""
 
+from fractions import Fraction
+
 from ..tableau import Weights
 from .listing import FIXED, PREPARED, literal
 
+_DENOMINATOR = 1_000_000  # those of Dopri5 and Bosh3 are below
 _EACH = "for (int c = 0; c < N; c++)"
 
 
@@ -59,8 +62,8 @@ def pull_source(weights: Weights) -> str:
     places = [((), "t"), *stages[:-1]]
     for i, (row, time) in reversed(list(enumerate(places))):
         behind = [(j, places[j][0][i]) for j in range(i + 1, len(places))]
-        terms = [f"back[c] * {literal(last[i])}"] if last[i] else []
-        terms += [f"g[{j}][c] * {literal(weight)}" for j, weight in behind if weight]
+        terms = [f"back[c] * {_weight(last[i])}"] if last[i] else []
+        terms += [f"g[{j}][c] * {_weight(weight)}" for j, weight in behind if weight]
         lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
         place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
         lines.append(f"{_EACH} z[c] = {place};")
@@ -85,10 +88,21 @@ def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
 
 def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
     """Weights and time of each stage but the first, the step's end the last."""
-    time = lambda node: "t_end" if node == 1.0 else f"t + h * {literal(node)}"
+    time = lambda node: "t_end" if node == 1.0 else f"t + h * {_weight(node)}"
     return [(row, time(c)) for row, c in zip(weights.rows, weights.nodes, strict=True)]
 
 
 def _weighted(rates: str, weights: tuple[float, ...]) -> str:
-    terms = [f"{rates}[{i}][c] * {literal(w)}" for i, w in enumerate(weights) if w]
+    terms = [f"{rates}[{i}][c] * {_weight(w)}" for i, w in enumerate(weights) if w]
     return " + ".join(terms)
+
+
+def _weight(value: float) -> str:
+    """A coefficient: as the fraction that it is to the last bit, or as it is.
+
+    So that steps in more than double precision have their method's own order.
+    """
+    fraction = Fraction(value).limit_denominator(_DENOMINATOR)
+    if float(fraction) != value:
+        return literal(value)
+    return f"((real){fraction.numerator} / (real){fraction.denominator})"
