@@ -241,8 +241,9 @@ def _extended(task: Task) -> list[tuple[str, Trajectory]] | None:
     for loop, rtol, (y, out) in zip(loops, _EXTENDED, found, strict=True):
         every = loop.states(y), out.code, out.final_time, loop.states(out.final_y)
         state, code, *ended = jax.tree.map(lambda x: x[0], every)
-        parts: Any = times, state, scene, code, *ended
-        run = Trajectory(*parts, out.steps[0], out.rejected_steps[0])
+        steps = out.steps[0], out.rejected_steps[0]
+        parts: Any = times, state, scene, code, *ended, *steps
+        run = Trajectory(*parts)
         runs.append((f"Dopri5 at {rtol:.0e} in {bits} bits", run))
     return runs
 
