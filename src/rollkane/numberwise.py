@@ -239,22 +239,26 @@ class _Walk:
         return result
 
     def contracted(self, a: Numbers, b: Numbers, axes: Any, dtype: Any) -> Numbers:
-        """Sums of products over pairs of axes."""
-        along_a, along_b = axes
-        kept_a = [i for i in range(a.ndim) if i not in along_a]
-        kept_b = [i for i in range(b.ndim) if i not in along_b]
-        a = a.transpose([*kept_a, *along_a])
-        b = b.transpose([*kept_b, *along_b])
-        rows, columns = a.shape[: len(kept_a)], b.shape[: len(kept_b)]
+        """Sums of products over pairs of axes, or products alone over none."""
+        a, b = (_in_rows(x, along) for x, along in zip((a, b), axes, strict=True))
+        rows, columns = a.shape[:-1], b.shape[:-1]
         result = np.empty(rows + columns, object)
         for i in np.ndindex(rows):
             for j in np.ndindex(columns):
-                pairs = zip(a[i].reshape(-1), b[j].reshape(-1), strict=True)
+                pairs = zip(a[i], b[j], strict=True)
                 products = [
                     self.operation("mul", {}, list(pair), dtype) for pair in pairs
                 ]
                 result[i + j] = self.folded("add", products, dtype)
         return result
+
+
+def _in_rows(x: Numbers, axes: Any) -> Numbers:
+    """Numbers with some axes, in their order, joined into a last one."""
+    kept = [i for i in range(x.ndim) if i not in axes]
+    length = math.prod(x.shape[i] for i in axes)
+    x = x.transpose([*kept, *axes])
+    return x.reshape([*x.shape[: len(kept)], length])
 
 
 def _of_known(name: str, params: Any, operands: list, dtype: Any) -> Any:

@@ -1,4 +1,9 @@
-"""Tangents and cotangents along recorded steps, against a plain loop over the steps."""
+"""Tangents and cotangents along recorded steps, against a plain loop over the steps.
+
+Both ways: in C, and in XLA (for what is differentiated again, and where C cannot).
+"""
+
+import functools
 
 import diffrax as dfx
 import jax
@@ -7,6 +12,7 @@ import numpy as np
 import pytest
 
 from rollkane import replay
+from rollkane.native import NoCompilerError, derivatives, xla_call
 from rollkane.replay import Run, Steps
 from rollkane.tableau import weights_of
 
@@ -53,38 +59,47 @@ def run_and_steps(count=5, times=TIMES, between=replay.STEPS_BETWEEN):
     return run, Steps.of(RECORD, jnp.asarray(count), kept, times, jnp.asarray([AT]))
 
 
-@jax.jit
-def tangents(moved):
-    return replay.push(*run_and_steps(), moved)
+BOTH = pytest.mark.parametrize("in_c", [True, False], ids=["C", "XLA"])
 
 
-@pytest.mark.parametrize("many", [False, True])
-def test_tangents(many):
-    # one, or four at once: along each of the four numbers
+@functools.partial(jax.jit, static_argnums=1)
+def tangents(moved, in_c):
+    return replay.push(*run_and_steps(), moved, in_c)
+
+
+@BOTH
+@pytest.mark.parametrize("many", [1, 4, 9])
+def test_tangents(many, in_c):
+    # one, or four at once, along each of the four numbers; or more than a row holds
     unit = [jnp.eye(4)[:2], jnp.eye(4)[2:]]
-    if many:
-        shown, last = tangents(unit)
+    if many > 4:
+        more = [jnp.tile(x, 3)[:, :many] for x in unit]
+        shown, last = (x[..., 4:8] for x in tangents(more, in_c))
+    elif many > 1:
+        shown, last = tangents(unit, in_c)
     else:
-        parts = [tangents([x[:, i : i + 1] for x in unit]) for i in range(4)]
+        parts = [tangents([x[:, i : i + 1] for x in unit], in_c) for i in range(4)]
         shown, last = (jnp.concatenate(x, axis=-1) for x in zip(*parts, strict=True))
     np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
     np.testing.assert_array_equal(last, shown[-1])
 
 
+@BOTH
 @pytest.mark.parametrize("between", [16, 3, 1])
-def test_cotangents(between, monkeypatch):
+def test_cotangents(between, in_c, monkeypatch):
     # all steps from the start, three and two, or every step from a state of its own
     monkeypatch.setattr(replay, "STEPS_BETWEEN", between)
     asked = jnp.asarray(np.random.default_rng(0).normal(size=(4, 2)))
     last = jnp.asarray([0.3, -0.8])
     run, steps = run_and_steps(between=between)
-    found = jax.jit(lambda a, b: replay.pull(run, steps, a, b))(asked, last)
+    found = jax.jit(lambda a, b: replay.pull(run, steps, a, b, in_c))(asked, last)
     for part, exact in zip(found, EXACT, strict=True):
         wanted = jnp.einsum("tn,tnp->p", asked.at[-1].add(last), exact)
         np.testing.assert_allclose(part, wanted, **ROUNDING)
 
 
-def test_lanes_of_a_batch_take_their_own_steps():
+@BOTH
+def test_lanes_of_a_batch_take_their_own_steps(in_c):
     asked = jnp.zeros((4, 2)).at[1].set(1.0)
     longer = jnp.asarray([2, 5])
 
@@ -92,7 +107,8 @@ def test_lanes_of_a_batch_take_their_own_steps():
         run, steps = run_and_steps(count)
         last = jnp.asarray([1.0, 0.0])
         moved = [jnp.eye(4)[:2, :1], jnp.eye(4)[2:, :1]]
-        return replay.pull(run, steps, asked, last), replay.push(run, steps, moved)
+        back = replay.pull(run, steps, asked, last, in_c)
+        return back, replay.push(run, steps, moved, in_c)
 
     together = jax.jit(jax.vmap(one))(longer)
     for i, count in enumerate((2, 5)):
@@ -101,24 +117,49 @@ def test_lanes_of_a_batch_take_their_own_steps():
             np.testing.assert_allclose(a[i], b, **ROUNDING)
 
 
-def test_an_output_between_two_steps_has_no_quiet_derivative():
+@BOTH
+def test_an_output_between_two_steps_has_no_quiet_derivative(in_c):
     times = TIMES.at[1].set(0.3)
     run, steps = run_and_steps(times=times)
-    shown, last = replay.push(run, steps, [jnp.ones((2, 1)), jnp.ones((2, 1))])
+    shown, last = replay.push(run, steps, [jnp.ones((2, 1)), jnp.ones((2, 1))], in_c)
     assert jnp.all(jnp.isnan(shown[1]))
     assert jnp.all(jnp.isfinite(last))
     asked = jnp.zeros((4, 2))
     for row, lost in ((1, True), (0, False)):
-        found = replay.pull(run, steps, asked.at[row].set(1.0), jnp.zeros(2))
+        asked_last = jnp.zeros(2)
+        found = replay.pull(run, steps, asked.at[row].set(1.0), asked_last, in_c)
         assert bool(jnp.all(jnp.isnan(found[0]))) is lost
 
 
-def test_backwards_in_time():
+@BOTH
+def test_backwards_in_time(in_c):
     # the way back of a recorded run: its steps in reverse order, without the jump
     record = RECORD[:6][::-1].at[2].set(AT)
     run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
     times = jnp.asarray([1.0, 0.0])
     steps = Steps.of(record, jnp.asarray(5), START[None], times, None)
     exact = jax.jacfwd(lambda x: states(x, PULL, record[:-1], record[1:])[-1])(START)
-    found = replay.pull(run, steps, jnp.zeros((2, 2)), jnp.asarray([1.0, 0.0]))[0]
+    asked = jnp.zeros((2, 2)), jnp.asarray([1.0, 0.0])
+    found = replay.pull(run, steps, *asked, in_c)[0]
     np.testing.assert_allclose(found, exact[0], **ROUNDING)
+
+
+@pytest.mark.parametrize("why", ["compiler", "device", "length"])
+def test_without_c(why, monkeypatch):
+    """Then XLA takes the same steps."""
+    if why == "compiler":
+
+        def none(*arguments):
+            raise NoCompilerError("no C compiler was found")
+
+        monkeypatch.setattr(xla_call, "_registered", none)
+    elif why == "device":
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    else:
+        monkeypatch.setattr(derivatives, "_MOST_STATEMENTS", 3)
+    run, steps = run_and_steps()
+    unit = [jnp.eye(4)[:2], jnp.eye(4)[2:]]
+    assert replay._in_c(derivatives.TangentLoop, run, START, jnp.eye(2)) is None
+    assert replay._in_c(derivatives.CotangentLoop, run, START, 16) is None
+    shown, _ = replay.push(run, steps, unit)
+    np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
