@@ -8,6 +8,7 @@ or one falls away, and only arithmetic is left: 217 operations on numbers instea
 equations on arrays for a disc on a plane.
 """
 
+import math
 import operator
 from collections.abc import Callable
 from typing import Any
