@@ -179,13 +179,12 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
     )
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     where = landings_of(model, times, plan)
-    resolution = 10 * jnp.finfo(times.dtype).eps
     course = Course(
         time=times[0],
         sense=sense,
         rtol=rtol,
         atol=atol,
-        dtmin=resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1])),
+        dtmin=_least_step(times),
         first_step=_first_step(plan, like, inputs),
         ends=sense * where.ends,
         begins=sense * where.starts,
@@ -220,14 +219,19 @@ def _landing(
     model: Any, times, rtol, atol, plan: Plan
 ) -> dfx.AbstractStepSizeController:
     """Adaptive steps that end on outputs and on corners of the right-hand side."""
-    resolution = 10 * jnp.finfo(times.dtype).eps
-    dtmin = resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
+    dtmin = _least_step(times)
     controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
     where = landings_of(model, times, plan)
     if where.ends.shape[0] == 1:
         return controller
     # its tolerances are the controller's, which diffrax declares as fields
     return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
+
+
+def _least_step(times: Array) -> Array:
+    """What the times' rounding still tells apart [s]."""
+    resolution = 10 * jnp.finfo(times.dtype).eps
+    return resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
 
 
 def landings_of(model: Any, times: Array, plan: Plan) -> Landings:
