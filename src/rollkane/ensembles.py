@@ -202,9 +202,9 @@ class _Run:
                 "ensemble.method", method, "is not known", f"use one of {_METHODS}"
             )
         self.observe = observe
-        self.example = jax.eval_shape(self.members.example)
-        like = self.example[1]
-        dtype = like.angular_velocity.dtype
+        example = self.members.example
+        self.example = jax.eval_shape(example) if self.traced else example()
+        dtype = self.example[1].angular_velocity.dtype
         self.times = checked_times(times, dtype)
         known, _ = tolerances(rtol, atol, dtype)
         self.rtol, self.atol = known, atol
@@ -223,7 +223,7 @@ class _Run:
         self.workers = _whole("workers", workers, _processors())
 
     def _check(self, modes) -> None:
-        scene, start = self.members.example()
+        scene, start = self.example
         check_span(scene, self.times)
         if modes is None:
             check_start(scene, start)

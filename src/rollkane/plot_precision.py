@@ -76,8 +76,12 @@ def _draw(panel: "Axes", work: WorkPrecision, measure) -> None:
             markerfacecolor="white" if rows[0].setting.steps else None,
             label=name,
         )
-    for formatter in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
-        formatter("{x:g}")
+    from matplotlib.ticker import LogLocator
+
+    # a series may fill less than a decade, or two: labels at 1, 2 and 5 fit both
+    panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    panel.yaxis.set_major_formatter("{x:g}")
+    panel.yaxis.set_minor_formatter("")
     dress(panel)
 
 
