@@ -36,8 +36,10 @@ PRECISIONS = {"double": jnp.float64, "single": jnp.float32}
 _LEAST_TOLERANCE = {"double": 1e-14, "single": 2e-6}
 _REFERENCES = (("Dopri8", 1e-14), ("Dopri8", 1e-13), ("Tsit5", 1e-13))
 # the coefficients of Dopri5 are fractions, and so known to any precision
-_EXTENDED = (1e-17, 1e-16)
+_EXTENDED = (1e-17, 1e-16, 1e-15, 1e-14)
 _EXTENDED_BITS = 64
+_COARSE = 1e-9
+_EXTENDED_STEPS = 1_000_000  # take 3 to 5 s
 _MOST_STEPS = 4_000_000
 
 
@@ -195,11 +197,12 @@ def reference_of(task: Task) -> Reference:
     """The finest runs: in extended precision, or by two methods in double."""
     method = "native"
     try:
-        _run(task, Setting("Dopri8", 1e-6, None, method))
+        coarse = _run(task, Setting("Dopri5", _COARSE, None, method))
     except FieldError:
-        method = "diffrax"
-    extended = _extended(task) if method == "native" else None
-    runs = extended or [
+        method, runs = "diffrax", []
+    else:
+        runs = _extended(task, int(coarse.steps)) if coarse.succeeded else []
+    runs = runs or [
         (f"{solver} at {rtol:.0e}", _run(task, Setting(solver, rtol, None, method)))
         for solver, rtol in _REFERENCES
     ]
@@ -220,29 +223,38 @@ def reference_of(task: Task) -> Reference:
     return Reference(ends[0], max(rounding, *apart), text, method)
 
 
-def _extended(task: Task) -> list[tuple[str, Trajectory]] | None:
-    """Runs with C's long doubles; None where these are no more than doubles."""
+def _extended(task: Task, steps: int) -> list[tuple[str, Trajectory]]:
+    """Runs with C's long doubles; none where they are doubles, or would take long.
+
+    Args:
+        task: What to run.
+        steps: That Dopri5 takes at the coarse tolerance, from which those at a finer
+            one follow by its order.
+    """
     bits = np.finfo(np.longdouble).nmant + 1
-    if bits < _EXTENDED_BITS:
-        return None
+    within = lambda rtol: steps * (_COARSE / rtol) ** 0.2 <= _EXTENDED_STEPS
+    fine = next(filter(within, _EXTENDED), None)
+    if bits < _EXTENDED_BITS or fine is None:
+        return []
+    tolerances = fine, 10.0 * fine
     scene, start = task.scene, task.start
     times = np.array([0.0, task.horizon])
     members = members_of(scene, jax.tree.map(lambda x: np.asarray(x)[None], start), 1)
     how = None, dfx.Dopri5(), _MOST_STEPS
     try:
         loops = [
-            LaneBlocks(members, times, rtol, *how, extended=True) for rtol in _EXTENDED
+            LaneBlocks(members, times, rtol, *how, extended=True) for rtol in tolerances
         ]
     except NotForLanesError:
-        return None
+        return []
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(lambda loop: loop.run(*members.block(0, 1), 1), loops))
     runs = []
-    for loop, rtol, (y, out) in zip(loops, _EXTENDED, found, strict=True):
+    for loop, rtol, (y, out) in zip(loops, tolerances, found, strict=True):
         every = loop.states(y), out.code, out.final_time, loop.states(out.final_y)
         state, code, *ended = jax.tree.map(lambda x: x[0], every)
-        steps = out.steps[0], out.rejected_steps[0]
-        parts: Any = times, state, scene, code, *ended, *steps
+        counts = out.steps[0], out.rejected_steps[0]
+        parts: Any = times, state, scene, code, *ended, *counts
         run = Trajectory(*parts)
         runs.append((f"Dopri5 at {rtol:.0e} in {bits} bits", run))
     return runs

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane import timed_runs
 from rollkane.scene_files import builtin_scenes, load_scene
 
 from .. import problems
@@ -162,6 +163,25 @@ def test_bad_input_is_refused(case):
     given = {"scene": scene, "start": start, "horizon": 1.0} | changes
     with pytest.raises(rk.FieldError, match=message):
         rk.work_precision(**given)
+
+
+def test_the_reference_has_more_than_double_precision(monkeypatch):
+    """It is surer than double precision, and within what that is sure of."""
+    scene, start = problems.disc(6.0)
+    task = timed_runs.Task("disc", scene, start, 5.0)
+    fine = timed_runs.reference_of(task)
+    assert "in 64 bits" in fine.text
+    monkeypatch.setattr(timed_runs, "_EXTENDED", (1e-15,))
+    coarse = timed_runs.reference_of(task)
+    assert "1e-15 in 64 bits and Dopri5 at 1e-14" in coarse.text
+    monkeypatch.setattr(timed_runs, "_EXTENDED_STEPS", 100)
+    double = timed_runs.reference_of(task)
+    assert "Dopri8" in double.text
+    # a hundred roundings of numbers of one; of a step's error at 1e-13, a thousandth
+    assert fine.certainty < 1e-14 < 1e-13 < double.certainty
+    for other in (coarse, double):
+        apart = max(timed_runs._differences(fine.end, other.end))
+        assert apart <= other.certainty + fine.certainty
 
 
 def test_no_reference_no_measurement():
