@@ -8,6 +8,7 @@ it is how sure it is, and no error below that is called one.
 import dataclasses
 import statistics
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -261,12 +262,22 @@ def _extended(task: Task, steps: int) -> list[tuple[str, Trajectory]]:
 
 
 def _run(task: Task, setting: Setting) -> Trajectory:
+    return _ready(task, setting)()
+
+
+def _ready(task: Task, setting: Setting) -> Callable[[], Trajectory]:
+    """A run with everything at hand that a program would have."""
     dtype = PRECISIONS[setting.precision]
     cast = lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x
     scene, start = jax.tree.map(cast, (task.scene, task.start))
     times = np.array([0.0, task.horizon])
-    run = simulate(scene, start, times, **setting.options(task.horizon))
-    jax.block_until_ready(run.final_state)
+    options = setting.options(task.horizon)
+
+    def run():
+        result = simulate(scene, start, times, **options)
+        jax.block_until_ready(result.final_state)
+        return result
+
     return run
 
 
@@ -305,13 +316,14 @@ def measured(
     first: dict[str, float],
 ) -> Measured:
     """One setting, run and timed."""
+    ready = _ready(task, setting)
     began = time.perf_counter()
-    run = _run(task, setting)
+    run = ready()
     first.setdefault(setting.series, time.perf_counter() - began)
     spans = []
     for _ in range(repeats):
         began = time.perf_counter()
-        _run(task, setting)
+        ready()
         spans.append(time.perf_counter() - began)
     code = int(run.code)
     errors = (np.nan,) * 3 if code else _differences(_end_of(run), reference.end)

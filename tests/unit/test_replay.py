@@ -16,6 +16,9 @@ from rollkane.native import NoCompilerError, derivatives, xla_call
 from rollkane.replay import Run, Steps
 from rollkane.tableau import weights_of
 
+from .test_native import OPERATIONS
+from .test_native import rates as every_operation
+
 WEIGHTS = weights_of(dfx.Bosh3(), "a test")
 # of uneven length, with a jump behind the third step and a padded end
 AT = 0.55
@@ -163,3 +166,34 @@ def test_without_c(why, monkeypatch):
     assert replay._in_c(derivatives.CotangentLoop, run, START, 16) is None
     shown, _ = replay.push(run, steps, unit)
     np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_every_operation_has_its_derivatives(dtype):
+    """In C what they are in XLA, in rows of one and of eight, and backwards."""
+    random = np.random.default_rng(5)
+    n = len(OPERATIONS)
+    some = lambda *shape: jnp.asarray(random.uniform(-0.5, 0.5, shape), dtype)
+    varied = [some(2, 2), some(2), some(n)]
+    along = lambda t, y, shared, own, start: every_operation(t, y, shared, own)
+    run = Run(along, lambda shared, own, start: 1.0 * start, varied, WEIGHTS)
+    record = jnp.asarray([0.0, 0.1, 0.3, np.inf], dtype)
+    times = jnp.asarray([0.0, 0.3], dtype)
+    steps = Steps.of(record, jnp.asarray(2), varied[2][None], times, None)
+    assert replay._in_c(derivatives.TangentLoop, run, varied[2], some(n, 8))
+    asked, moved = (some(2, n), some(n)), [some(*x.shape, 8) for x in varied]
+    both = [
+        jax.jit(
+            lambda moved, asked, in_c=in_c: [
+                replay.push(run, steps, [x[..., :1] for x in moved], in_c),
+                replay.push(run, steps, moved, in_c),
+                replay.pull(run, steps, *asked, in_c),
+            ]
+        )(moved, asked)
+        for in_c in (True, False)
+    ]
+    # some hundred roundings of derivatives of one to ten
+    close = {"rtol": 1e3 * np.finfo(dtype).eps, "atol": 1e3 * np.finfo(dtype).eps}
+    for a, b in zip(*map(jax.tree.leaves, both), strict=True):
+        assert a.dtype == dtype
+        np.testing.assert_allclose(a, b, **close)
