@@ -31,6 +31,7 @@ def differentiable(
     checkpoints: int = 0,
     push: Callable | None = None,
     pull: Callable | None = None,
+    twice: Callable | None = None,
 ) -> PyTree:
     """Run a solve so that it can be differentiated in both modes.
 
@@ -48,6 +49,8 @@ def differentiable(
             replay.
         pull: ``pull(inputs_of, varied, record, cotangents, once)`` -> cotangents of the
             list ``varied``; None: those of the replay by diffrax's adjoint.
+        twice: Called, with any arguments, where a derivative is differentiated, to
+            refuse it; None: it can be.
 
     Returns:
         The outputs. Derivatives of integer outputs are zero, and those of outputs
@@ -59,12 +62,8 @@ def differentiable(
     def inputs_of(leaves):
         return eqx.combine(jax.tree.unflatten(tree, leaves), fixed)
 
-    @jax.custom_jvp
-    def call(*leaves):
-        return solve(inputs_of(leaves), None, None)[0]
-
-    def call_jvp(primals, tangents):
-        outputs, record = solve(inputs_of(primals), None, dfx.ForwardMode())
+    def changes(primals, tangents, outputs, record):
+        """Of the outputs, along the recorded steps."""
         dynamic, static = eqx.partition(outputs, eqx.is_inexact_array)
         values, shape = jax.tree.flatten(dynamic)
         moves = tuple(not isinstance(t, SymbolicZero) for t in tangents)
@@ -72,16 +71,36 @@ def differentiable(
         if live:
             rows, row_shape = jax.tree.flatten(jax.lax.stop_gradient(record))
             known = _Known(inputs_of, moves, row_shape, shape)
-            replay = _Replay(solve, known, checkpoints, push, pull)
+            linear = _Replay(solve, known, checkpoints, push, pull).linear
+            if twice is not None:
+                linear = linear._replace(again=Linear(twice, twice))
             unreached = [jnp.isnan(value) for value in values]
             residuals = [*primals, *rows, *unreached]
-            values_dot = linear_call(replay.linear, residuals, live, _sizes(values))
+            values_dot = linear_call(linear, residuals, live, _sizes(values))
         else:
             values_dot = [jnp.zeros_like(x) for x in values]
         outputs_dot = jax.tree.unflatten(shape, values_dot)
-        return outputs, eqx.combine(outputs_dot, jax.tree.map(_no_tangent, static))
+        return eqx.combine(outputs_dot, jax.tree.map(_no_tangent, static))
+
+    @jax.custom_jvp
+    def call(*leaves):
+        return solve(inputs_of(leaves), None, None)[0]
+
+    @jax.custom_jvp
+    def recorded(*leaves):
+        return solve(inputs_of(leaves), None, dfx.ForwardMode())
+
+    def call_jvp(primals, tangents):
+        outputs, record = recorded(*primals)
+        return outputs, changes(primals, tangents, outputs, record)
+
+    def recorded_jvp(primals, tangents):  # of a second derivative: the same steps
+        outputs, record = recorded(*primals)
+        moved = changes(primals, tangents, outputs, record)
+        return (outputs, record), (moved, jax.tree.map(_fixed, record))
 
     call.defjvp(call_jvp, symbolic_zeros=True)
+    recorded.defjvp(recorded_jvp, symbolic_zeros=True)
     return call(*leaves)
 
 
@@ -175,6 +194,11 @@ class _Replay(NamedTuple):
 
 def _no_tangent(x):
     return np.zeros(jnp.shape(x), jax.dtypes.float0)
+
+
+def _fixed(x):
+    """The tangent of what does not change."""
+    return jnp.zeros_like(x) if eqx.is_inexact_array(x) else _no_tangent(x)
 
 
 # -- a function that is linear in some arguments, with its transpose given ------------

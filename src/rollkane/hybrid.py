@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .checks import FieldError
 from .coordinates import FlyingState, SlidingState, State, pack
 from .differentiate import differentiable
 from .integration import in_order
@@ -298,13 +299,21 @@ def integrate_modes(
         return _outcome(c.path, t, last, code, c.accepted, rejected), c.record
 
     def pull(inputs_of, varied, record, asked, once):
-        del once  # it can be differentiated as it is
+        del once
         make = lambda varied: made(inputs_of(varied))
         asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
         return pulled_back(make, varied, jnp.asarray(mode), record, asked)
 
     inputs = scene, of(start), times, rtol, atol
-    return differentiable(solve, inputs, pull=pull)
+    return differentiable(solve, inputs, pull=pull, twice=_refuse_twice)
+
+
+def _refuse_twice(*arguments):
+    """An event's time has its first derivative only: one Newton step of value zero."""
+    del arguments
+    problem = "has no second derivatives"
+    remedy = "leave modes out, or take differences of first derivatives"
+    raise FieldError("simulate.modes", "...", problem, remedy)
 
 
 def _stuck_by_friction(motion: Motion, code, place: Place) -> Array:

@@ -246,9 +246,26 @@ def pull(
     if once and (loop := _in_c(CotangentLoop, run, asked_last, STEPS_BETWEEN)):
         back, moved = loop(steps.way, steps.kept, asked, asked_last)
     else:
+        # recorded states do not move with what is varied, as a second derivative asks
+        steps = steps if once else steps._replace(kept=_taken_again(run, steps))
         back, moved = _pulled(run, steps, asked, asked_last)
     own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
     return [a + b for a, b in zip(moved, own, strict=True)]
+
+
+def _taken_again(run: Run, steps: Steps) -> Array:
+    """States where every 16th step begins, from the start on."""
+    field = lambda t, y: run.rates(t, y, *run.varied)
+
+    def one(i, carry):
+        y, kept = carry
+        at = i // STEPS_BETWEEN
+        kept = kept.at[at].set(jnp.where(i % STEPS_BETWEEN == 0, y, kept[at]))
+        ahead = _stepped(field, run.stages(steps, i), y)
+        return jnp.where(i < steps.count, ahead, y), kept
+
+    start = run.start(*run.varied)
+    return _counted(steps.turns, one, (start, jnp.zeros_like(steps.kept)))[1]
 
 
 def _pulled(run: Run, steps: Steps, asked: Array, asked_last: Array) -> tuple[Any, Any]:

@@ -212,16 +212,24 @@ def test_times_are_differentiated_too():
     np.testing.assert_allclose(back, ahead, atol=1e-12)
 
 
-def test_second_derivative_forward_over_forward():
-    def f(spin):
-        return x_of_disc(spin, 1.0, 1e-12)
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+def test_second_derivatives(method):
+    """Forward over forward and forward over reverse; over several recorded states."""
 
-    second = float(jax.jacfwd(jax.jacfwd(f))(DISC_SPIN))
+    def f(spin):
+        scene, start = problems.disc(spin)
+        times, how = [0.0, 1.0], {"rtol": 1e-12, "method": method}
+        return rk.simulate(scene, start, times, **how).position[-1, 0]
+
+    ways = jax.jacfwd(jax.jacfwd(f)), jax.jacfwd(jax.grad(f))
+    found = jax.jit(lambda spin: [way(spin) for way in ways])(DISC_SPIN)
     first = forward[x_of_disc]
     h = 1e-3
     slope = [float(first(DISC_SPIN + s * h, 1.0, 1e-12)[1]) for s in (1, -1)]
     # central differences of exact first derivatives: h^2 f''''/6, about 1e-6
-    assert abs(second - (slope[0] - slope[1]) / (2 * h)) < 1e-5
+    np.testing.assert_allclose(found, (slope[0] - slope[1]) / (2 * h), atol=1e-5)
+    # both along the same steps, of which there are about a hundred
+    np.testing.assert_allclose(*found, rtol=1e-9)
 
 
 def test_closure_over_a_traced_number():

@@ -1,6 +1,7 @@
 """Runs that change between rolling, slipping and flight, against closed forms."""
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -268,6 +269,21 @@ def over_the_cliff(x):
     modes = rk.Modes(friction=mu, restitution=e, switches=8)
     run = rk.simulate(scene, start, [0.0, 0.7, 1.2], modes=modes, rtol=1e-11)
     return run.switches, run.position[-1]
+
+
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.grad])
+def test_second_derivatives_are_refused(inner):
+    """An event's time has its first derivative only: a second would be wrong."""
+    scene = rk.Scene(BALL)
+    start = rk.place(scene, UP, STILL, STILL)
+
+    def spin(w):
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, w * jnp.ones(3))
+        run = rk.simulate(scene, begun, [0.0, 0.1], modes=rk.Modes(friction=0.3))
+        return run.state.angular_velocity[-1, 0]
+
+    with pytest.raises(rk.FieldError, match=r"simulate.modes: has no second"):
+        jax.eval_shape(jax.jacfwd(inner(spin)), 0.5)
 
 
 @pytest.mark.slow
