@@ -60,7 +60,8 @@ def simulate(
     """Motion of a scene from a start, at the asked times.
 
     Differentiable in forward and in reverse mode with respect to every float of the
-    scene and the start, and with respect to the times; can be jitted and vmapped. A
+    scene and the start, and with respect to the times (and forwards once more, without
+    ``modes``); can be jitted and vmapped. A
     run that cannot go on does not raise: the result's ``code`` says why it stopped,
     and what was not reached is NaN.
 
