@@ -61,9 +61,8 @@ def simulate(
 
     Differentiable in forward and in reverse mode with respect to every float of the
     scene and the start, and with respect to the times (and forwards once more, without
-    ``modes``); can be jitted and vmapped. A
-    run that cannot go on does not raise: the result's ``code`` says why it stopped,
-    and what was not reached is NaN.
+    ``modes``); can be jitted and vmapped. A run that cannot go on does not raise: the
+    result's ``code`` says why it stopped, and what was not reached is NaN.
 
     Args:
         scene: What rolls on what, under which loads.

@@ -79,7 +79,7 @@ class TangentLoop:
         head["NUMBERS"] = made.functions.numbers
         texts = made.functions.text, push_source(rates.weights)
         parts = "along_steps.h", *_of_bearable_length(texts), "tangent_loop.c"
-        self._call = XlaCall(state.dtype, self._lanes, head, parts, 9, 2)
+        self._call = XlaCall(state.dtype, self._lanes, head, parts)
 
     def __call__(
         self, way: Way, y: Array, y_dot: Array, moved: list[Array]
@@ -143,7 +143,7 @@ class CotangentLoop:
         head["BACK_NUMBERS"] = made.back.numbers
         texts = made.functions.text, made.back.text, pull_source(rates.weights)
         parts = "along_steps.h", *_of_bearable_length(texts), "cotangent_loop.c"
-        self._call = XlaCall(state.dtype, 1, head, parts, 9, 2)
+        self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(
         self, way: Way, kept: Array, asked: Array, asked_last: Array

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..checks import is_traced
@@ -93,7 +92,7 @@ def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
         along = lambda y, *varied: rates(t, y, *varied)
         return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
 
-    time, like = _like([jnp.zeros((), state.dtype), *varied])
+    time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
     program = Program(changes, time, state, like, state, like)
     given, size = _given(state, like)
     closed, traced = _closed(program, size, state.dtype)
@@ -124,7 +123,7 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
         along = lambda y, *varied: rates(t, y, *varied)
         return jax.vjp(along, y, *varied)[1](asked)
 
-    time, like = _like([jnp.zeros((), state.dtype), *varied])
+    time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
     there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
     back = Program(pulled, time, state, like, state)
     given, size = _given(state, like)
@@ -145,9 +144,8 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
     return Source(functions, [*traced, *traced_back], changes)
 
 
-def _like(arrays: list) -> tuple[Any, list]:
-    first, *rest = (jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays)
-    return first, rest
+def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
 def _given(state: Any, like: list) -> tuple[list, int]:

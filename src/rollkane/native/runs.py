@@ -110,7 +110,7 @@ class RunLoop:
             "lane_loop.c",
             "run_call.c",
         )
-        self._call = XlaCall(state.dtype, 1, head, parts, 7, 5 if between else 3)
+        self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
         """Integrate a start, with this many steps at most, rejected ones too."""

@@ -1,5 +1,4 @@
-/* What XLA hands over in a call. Before this text: XLA's c_api.h, rows.h, and generated
- * BUFFERS (that XLA gives) and RESULTS (that it wants).
+/* What XLA hands over in a call. Before this text: XLA's c_api.h and rows.h.
  *
  * Sizes that are no more than memory are read from the shapes of XLA's buffers. In a batch
  * each buffer has one more axis in front, of length one where all members share it.
@@ -11,10 +10,12 @@ typedef struct {
     long leads, axes; /* axes of the batch in front, and its own */
 } Buffer;
 
+enum { MOST_GIVEN = 9, MOST_RESULTS = 5 }; /* of any function here */
+
 typedef struct {
-    Buffer given[BUFFERS];
-    char *results[RESULTS];
-    long sizes[RESULTS];
+    Buffer given[MOST_GIVEN];
+    char *results[MOST_RESULTS];
+    long sizes[MOST_RESULTS];
     const int64_t *dims; /* of the batch */
     long leads, batch;
 } Call;
@@ -53,7 +54,7 @@ static int received(XLA_FFI_CallFrame *frame, const int *axes, int result_axes, 
         told->api_version.minor_version = XLA_FFI_API_MINOR;
         return 0;
     }
-    for (int i = 0; i < BUFFERS; i++) {
+    for (int i = 0; i < frame->args.size; i++) {
         const XLA_FFI_Buffer *b = frame->args.args[i];
         call->given[i] = (Buffer){b->data, b->dims, b->rank - axes[i], axes[i]};
     }
@@ -61,7 +62,7 @@ static int received(XLA_FFI_CallFrame *frame, const int *axes, int result_axes, 
     call->dims = result->dims;
     call->leads = result->rank - result_axes;
     call->batch = product(call->dims, call->leads);
-    for (int i = 0; i < RESULTS; i++) {
+    for (int i = 0; i < frame->rets.size; i++) {
         result = frame->rets.rets[i];
         call->results[i] = result->data;
         call->sizes[i] = product(result->dims + call->leads, result->rank - call->leads);

@@ -20,8 +20,6 @@ class XlaCall:
         lanes: int,
         head: dict[str, int],
         parts: tuple[str, ...],
-        buffers: int,
-        results: int,
     ):
         """Compile it, and make it known to XLA.
 
@@ -30,14 +28,11 @@ class XlaCall:
             lanes: How many a row holds.
             head: Names of whole numbers that the parts know.
             parts: Files and texts behind ``xla_call.h``; ``called_by_xla`` is in them.
-            buffers: How many arrays it is given.
-            results: How many it gives.
 
         Raises:
             NoCompilerError: no C compiler.
         """
         self._dtype = dtype
-        head = head | {"BUFFERS": buffers, "RESULTS": results}
         self._name = _registered(dtype, lanes, tuple(head.items()), parts)
 
     def __call__(self, shapes: tuple, *arrays: Array) -> list[Array]:
