@@ -9,6 +9,11 @@ from jaxtyping import Array, Float
 from .base_motion import AbstractBaseMotion, BaseKinematics
 from .checks import FieldError, is_traced, real, refuse
 
+# How far a sample may be from equal spacing [steps]: times printed with few digits are.
+# A sample that is missing puts another a quarter of a step off or more; below half a
+# step, a time lies in the interval that equal spacing gives, or in one beside it.
+_OFF = 0.2
+
 
 class RecordedMotion(AbstractBaseMotion):
     """A translation by samples of its acceleration, linear between samples.
@@ -17,7 +22,8 @@ class RecordedMotion(AbstractBaseMotion):
     jerk jumps there, and the integrator ends a step on it.
 
     Attributes:
-        time: Sample times [s], equally spaced, shape (N,).
+        time: Sample times [s], shape (N,), equally spaced but for their rounding: none
+            is a fifth of a step or more from equal spacing between the ends.
         acceleration: [m/s^2], fixed axes, shape (N, 3).
         velocity: At the samples [m/s], shape (N, 3).
         position: At the samples [m], shape (N, 3).
@@ -38,7 +44,8 @@ class RecordedMotion(AbstractBaseMotion):
         """Make a motion from a record.
 
         Args:
-            time: Sample times [s], shape (N,), N >= 2, equally spaced.
+            time: Sample times [s], shape (N,), N >= 2, equally spaced, or rounded by
+                less than a fifth of a step; the samples hold at the times given.
             acceleration: [m/s^2], shape (N,) for the x axis alone, or (N, 1), (N, 2),
                 (N, 3) for x, y and z of the fixed axes.
             start_velocity: At the first sample [m/s], shape (3,).
@@ -84,6 +91,11 @@ class RecordedMotion(AbstractBaseMotion):
         known = (t >= first - slack) & (t <= last + slack)
         i = jnp.floor((t - first) / step).astype(jnp.int32)
         i = jnp.clip(i, 0, count - 2)
+        # the samples are where they are, and equal spacing may be off by an interval
+        i = jnp.where(
+            t < self.time[i], i - 1, jnp.where(t < self.time[i + 1], i, i + 1)
+        )
+        i = jnp.clip(i, 0, count - 2)
         s = jnp.where(known, t - self.time[i], jnp.nan)
         a, v, x = self.acceleration[i], self.velocity[i], self.position[i]
         jerk = (self.acceleration[i + 1] - a) / (self.time[i + 1] - self.time[i])
@@ -101,30 +113,42 @@ def _equal_steps(time: Any) -> Array:
         raise FieldError(
             field, time, "must hold two samples or more", "give the record"
         )
-    # times printed with few digits are off by a rounding, not by a part of a step
-    slack = 1e-3
 
     def uneven(t):
-        step = (t[-1] - t[0]) / (t.shape[0] - 1)
-        library = jnp if is_traced(t) else np
-        return ~(
-            (step > 0) & (library.abs(library.diff(t) - step) < slack * step).all()
-        )
+        _, step, off = _spacing(t)
+        return ~((step > 0) & (abs(off) < _OFF * step).all())
 
-    worst = ""
-    if not is_traced(times):
-        steps = np.diff(np.asarray(times))
-        i = int(np.argmax(np.abs(steps - np.median(steps))))
-        worst = (
-            f" (the step after {float(times[i]):g} s is {steps[i]:g} s, the usual one "
-            f"{np.median(steps):g} s)"
-        )
+    worst = "" if is_traced(times) else _worst(np.asarray(times))
     return refuse(
         times,
         uneven,
         field,
         f"must grow by equal steps{worst}",
         "fill the gap, or resample the record",
+    )
+
+
+def _spacing(t: Any) -> tuple[Any, Any, Any]:
+    """Steps, the mean one, and how far samples are from equal spacing [s]."""
+    library = jnp if is_traced(t) else np
+    count = t.shape[0]
+    step = (t[-1] - t[0]) / (count - 1)
+    return (
+        library.diff(t),
+        step,
+        t - (t[0] + step * library.arange(count, dtype=t.dtype)),
+    )
+
+
+def _worst(times: np.ndarray) -> str:
+    """Where a clock is farthest from equal steps."""
+    steps, step, off = _spacing(times)
+    usual = np.median(steps)
+    i, j = int(np.argmax(np.abs(steps - usual))), int(np.argmax(np.abs(off)))
+    return (
+        f" (the step after {float(times[i]):g} s is {steps[i]:g} s, the usual one "
+        f"{usual:g} s; the sample at {float(times[j]):g} s is {abs(off[j]):.3g} s from "
+        f"equal spacing, and roundings of less than {_OFF * step:.3g} s are allowed)"
     )
 
 

@@ -11,6 +11,8 @@ import pytest
 import rollkane as rk
 from rollkane.scene_files import SceneFileError, load_scene
 
+from ..record_files import v2a
+
 HEAD = """\
 [body]
 mass = 1.0
@@ -121,6 +123,53 @@ def test_record_from_a_file_beside_the_scene(tmp_path):
     np.testing.assert_allclose(acceleration, 0.5e-2 * np.arange(50, 101))
 
 
+# a header without a unit, one with g and one with cm/s2; samples of 100
+FORMATS = {
+    "at2": "{header}\nNPTS= 3, DT= .1 SEC\n100 100 100\n",
+    "single-column": "{header}\n3 0.1\n100\n100\n100\n",
+    "two-column": "{header}\n0.0 100\n0.1 100\n0.2 100\n",
+}
+
+
+def of_file(tmp_path, form, header, more):
+    """A scene file with the record of a file beside it."""
+    text = v2a(first=-100.0, text={13: header}) if form == "v2a" else FORMATS[form]
+    (tmp_path / "quake.txt").write_text(text.format(header=header))
+    lines = (f'kind = "record"\nfile = "quake.txt"\nformat = "{form}"', *more)
+    return loaded(tmp_path, BASE + "\n".join(lines) + "\n")
+
+
+@pytest.mark.parametrize("form", [*FORMATS, "v2a"])
+def test_the_unit_reaches_every_reader(tmp_path, form):
+    usual = 0.1 if form == "v2a" else 980.665
+    cases = (
+        ("some quake", (), usual),
+        ("some quake", ('unit = "cm/s2"',), 1.0),
+        ("some quake", ('unit = "mm/s2"',), 0.1),
+        ("acceleration in cm/s/s", (), 1.0),
+        ("acceleration in cm/s/s", ('unit = "cm/s2"',), 1.0),
+    )
+    for header, more, wanted in cases:
+        file = of_file(tmp_path, form, header, more)
+        found = float(file.scene.base.motion.acceleration[0, 0])
+        assert found == pytest.approx(wanted, rel=1e-14), (header, more)
+    with pytest.raises(SceneFileError) as caught:
+        of_file(tmp_path, form, "acceleration in cm/s/s", ('unit = "g"',))
+    (problem,) = caught.value.problems
+    assert problem.field == "base.motion.unit"
+    assert problem.value == '"g"'
+    line = 14 if form == "v2a" else 1
+    assert re.search(rf"quake.txt, line {line} names, which is cm/s2", problem.problem)
+
+
+def test_the_default_format_takes_the_unit(tmp_path):
+    """AT2, where the unit was once not passed on."""
+    (tmp_path / "quake.at2").write_text("quake\nNPTS= 2, DT= .5 SEC\n100 100\n")
+    text = 'kind = "record"\nfile = "quake.at2"\nunit = "cm/s2"\n'
+    motion = loaded(tmp_path, BASE + text).scene.base.motion
+    np.testing.assert_allclose(motion.acceleration[:, 0], 1.0, rtol=1e-15)
+
+
 def test_supported(tmp_path):
     start = TAIL.replace("[run]", "alpha = [0.1, 0.0, 0.3]\n[run]")
     file = loaded(tmp_path, MASSES + BODY, start)
@@ -205,6 +254,26 @@ BAD = {
     "window outside": (
         RECORD.replace("41.0", "410.0"),
         ("base.motion.window", "not within the record", "give a start and an end"),
+    ),
+    "window before the record": (
+        RECORD.replace("[40.0, 41.0]", "[-5.0, 10.0]"),
+        ("base.motion.window", "not within the record, 0 to", "give a start"),
+    ),
+    "unit of a built-in record": (
+        RECORD + 'unit = "cm/s2"\n',
+        ("base.motion.unit", "a built-in record has its own", "leave out unit"),
+    ),
+    "format of a built-in record": (
+        RECORD + 'format = "v2a"\n',
+        ("base.motion.format", "a built-in record has its own", "leave out format"),
+    ),
+    "unknown unit": (
+        RECORD + 'unit = "in/s2"\n',
+        ("base.motion.unit", "not a known name", "m/s2"),
+    ),
+    "unit in a list": (
+        RECORD + 'unit = ["g"]\n',
+        ("base.motion.unit", "not a known name", "use one of: g, m/s2"),
     ),
     "axis twice": (
         RECORD.replace('"z"', '"x"'),

@@ -33,10 +33,10 @@ from .problems import Report
 
 _MOTION: Path = ("base", "motion")
 _READERS = {
-    "at2": lambda path, unit: read_at2(path),
+    "at2": read_at2,
     "single-column": read_single_column,
     "two-column": read_two_column,
-    "v2a": lambda path, unit: read_v2a(path),
+    "v2a": read_v2a,
 }
 
 
@@ -148,6 +148,10 @@ def _record(table: dict[str, Any], report: Report) -> RecordedMotion | None:
         where = (*_MOTION, "file" if given else "record")
         remedy = "give either record = ... or file = ..."
         report.add(where, problem, remedy, at_key=bool(given))
+    for name in ("format", "unit") if given == 1 and "record" in table else ():
+        if name in table and not report.has_below((*_MOTION, name)):
+            problem = "is of a file, and a built-in record has its own"
+            report.add((*_MOTION, name), problem, f"leave out {name}", at_key=True)
     if report.has_below(_MOTION):
         return None
     asked = RecordTable.model_validate(table)
@@ -189,6 +193,7 @@ def _read(asked: RecordTable, report: Report) -> Accelerogram | None:
         source = "window"
         return record if asked.window is None else record.window(*asked.window)
     except FieldError as error:
+        source = "unit" if error.field.endswith(".unit") else source
         report.add((*_MOTION, source), error.problem, error.remedy)
         return None
 

@@ -75,8 +75,10 @@ class RecordTable(Table):
     format: Literal["at2", "single-column", "two-column", "v2a"] = Field(
         default="at2", description="the form of the file"
     )
-    unit: Literal["g", "m/s2", "cm/s2", "mm/s2"] = Field(
-        default="g", description="the unit of a file of columns"
+    unit: Literal["g", "m/s2", "cm/s2", "mm/s2"] | None = Field(
+        default=None,
+        description="the unit of the file's samples; left out, the one that its header "
+        "says, or else g (v2a: mm/s2)",
     )
     axes: list[Literal["x", "y", "z"]] = Field(
         default=["x", "y", "z"],

@@ -1,0 +1,105 @@
+"""The clock of a record: which are taken, and that every time finds its samples."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.checks import FieldError
+
+# clocks as files print them: count, step [s], decimals; off by up to 0.15 of a step
+PRINTED = {
+    "exact": (200, 0.01, 9),
+    "1/150 s to a millisecond": (3000, 1 / 150, 3),
+    "1/128 s to a millisecond": (1000, 1 / 128, 3),
+    "three samples": (3, 1 / 3, 1),
+    "two samples": (2, 0.3, 1),
+}
+
+
+def clock(name):
+    count, step, decimals = PRINTED[name]
+    return np.round(2.0 + step * np.arange(count), decimals)
+
+
+def between(time):
+    """Times inside each interval, on the samples and beside them."""
+    inside = time[:-1, None] + np.diff(time)[:, None] * np.linspace(0.0, 1.0, 12)[:-1]
+    beside = np.nextafter(time[1:-1, None], [-1e9, 1e9])
+    return np.sort(np.concatenate([inside.ravel(), beside.ravel(), time[-1:]]))
+
+
+@jax.jit
+def all_at(motion, times):
+    return jax.vmap(motion.at)(times)
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_every_time_finds_its_samples(name):
+    time = clock(name)
+    values = np.random.default_rng(7).uniform(-1.0, 1.0, (len(time), 3))
+    motion = rk.RecordedMotion(time, values)
+    t = between(time)
+    found = all_at(motion, jnp.asarray(t)).acceleration
+    for axis in range(3):
+        expected = np.interp(t, time, values[:, axis])
+        # a slope of 2 in a step of at least 1/150 s, times the rounding of t up to 22 s
+        np.testing.assert_allclose(found[:, axis], expected, atol=300 * 2e-15 * 22)
+
+
+def test_velocity_and_position_are_continuous_on_a_printed_clock():
+    """The pieces meet: on both sides of every sample the same motion."""
+    time = clock("1/150 s to a millisecond")[:400]
+    values = np.random.default_rng(8).uniform(-1.0, 1.0, len(time))
+    motion = rk.RecordedMotion(time, values)
+    before, behind = (
+        all_at(motion, jnp.asarray(np.nextafter(time[1:-1], side)))
+        for side in (-1e9, 1e9)
+    )
+    # the motion of one rounding of the time, 9e-16 s, at less than 3 m/s, and sums
+    for name in ("velocity", "position"):
+        np.testing.assert_allclose(
+            getattr(before, name), getattr(behind, name), atol=1e-13
+        )
+    np.testing.assert_allclose(behind.velocity, motion.velocity[1:-1], atol=1e-13)
+
+
+def drifting(part, count=30_000):
+    """Steps that are a part shorter in the first half than in the second."""
+    halves = np.sign(np.arange(count) - count / 2)
+    return np.cumsum(0.01 * (1.0 + part * halves))
+
+
+@pytest.mark.parametrize("part", [5e-4, 1e-4, 2e-5])
+def test_a_drifting_clock_is_refused(part):
+    """Each step is good to a thousandth, and the middle is off by count / 2 of that."""
+    time = drifting(part)
+    off = 15_000 * part * 0.01
+    with pytest.raises(
+        FieldError, match=r"RecordedMotion\.time: must grow by equal"
+    ) as e:
+        rk.RecordedMotion(time, np.zeros(len(time)))
+    (found,) = [word for word in str(e.value).split() if word == f"{off:.3g}"]
+    assert float(found) == pytest.approx(off, rel=5e-3)
+
+
+def test_a_sample_that_is_missing_is_noticed():
+    """Wherever it is, and however few there are."""
+    for count in range(4, 40):
+        for gone in range(1, count - 1):
+            time = np.delete(0.02 * np.arange(count), gone)
+            with pytest.raises(FieldError, match="must grow by equal steps"):
+                rk.RecordedMotion(time, np.zeros(count - 1))
+
+
+def test_a_traced_clock_is_judged_too():
+    values = jnp.zeros(3000)
+
+    def position(time):
+        return rk.RecordedMotion(time, values).at(time[3]).position[0]
+
+    good, bad = (jnp.asarray(drifting(part, 3000)) for part in (0.0, 2e-4))
+    lanes = jax.jit(jax.vmap(position))(jnp.stack([good, bad]))
+    assert lanes[0] == 0.0
+    assert np.isnan(lanes[1])
