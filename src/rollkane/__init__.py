@@ -21,6 +21,7 @@ _ROOMS = {
     "base_motion": ("BaseMotion", "Spin"),
     "bodies": ("Body",),
     "checks": ("FieldError",),
+    "codes": ("Code",),
     "coordinates": ("FlyingState", "SlidingState", "State"),
     "ensembles": ("Ensemble", "ensemble", "ensemble_blocks"),
     "euler_lagrange": ("euler_lagrange_derivative",),
@@ -50,11 +51,12 @@ _ROOMS = {
         "Parametric",
         "Plane",
         "Revolution",
+        "Ring",
         "Sphere",
         "Torus",
     ),
     "timed_runs": ("Measured", "Setting"),
-    "trajectory": ("Code", "Trajectory"),
+    "trajectory": ("Trajectory",),
     "voronets": ("VoronetsState",),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
@@ -73,6 +75,7 @@ if TYPE_CHECKING:
     from .base_motion import Spin as Spin
     from .bodies import Body as Body
     from .checks import FieldError as FieldError
+    from .codes import Code as Code
     from .coordinates import FlyingState as FlyingState
     from .coordinates import SlidingState as SlidingState
     from .coordinates import State as State
@@ -126,11 +129,11 @@ if TYPE_CHECKING:
     from .surfaces import Parametric as Parametric
     from .surfaces import Plane as Plane
     from .surfaces import Revolution as Revolution
+    from .surfaces import Ring as Ring
     from .surfaces import Sphere as Sphere
     from .surfaces import Torus as Torus
     from .timed_runs import Measured as Measured
     from .timed_runs import Setting as Setting
-    from .trajectory import Code as Code
     from .trajectory import Trajectory as Trajectory
     from .voronets import VoronetsState as VoronetsState
 

@@ -1,11 +1,13 @@
 """The rolling body: its mass, its inertia and its surface."""
 
+import warnings
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .checks import FieldError, positive, real, refuse
+from .checks import FieldError, is_traced, positive, real, refuse
 from .small_linear import components, dot
 from .surfaces import AbstractSurface
 
@@ -41,6 +43,10 @@ class Body(eqx.Module):
 
         Raises:
             FieldError: a value that no body can have.
+
+        Warns:
+            UserWarning: a mass centre outside of a sphere or an ellipsoid about the
+                body origin.
         """
         self.mass = positive("Body.mass", mass, (), "the mass in kg")
         self.center_of_mass = real(
@@ -55,6 +61,21 @@ class Body(eqx.Module):
                 "give one of the catalogue, for example Sphere(radius=0.1)",
             )
         self.surface = surface
+        _warn_of_outside(surface, self.center_of_mass)
+
+
+def _warn_of_outside(surface: AbstractSurface, center: Array) -> None:
+    """Warn of a known mass centre outside of the surface's convex hull."""
+    if is_traced(surface, center):
+        return
+    hull = surface.hull
+    if hull is not None and not hull(np.asarray(center, float)):
+        warnings.warn(
+            f"Body.center_of_mass {np.asarray(center).tolist()} m lies outside of the "
+            f"body's {type(surface).__name__}: is it in metres, and from the body's "
+            "origin?",
+            stacklevel=3,
+        )
 
 
 def checked_inertia(field: str, inertia, thin: bool = False) -> Float[Array, "3 3"]:

@@ -1,14 +1,13 @@
 """Bad input: one way to refuse it, naming the field, the value and the remedy.
 
 Known numbers are checked at once and refused with a :class:`FieldError`. Numbers that
-are still being traced by JAX get the same text through ``eqx.error_if``; inside a
-``vmap`` the lane is poisoned with NaN instead, so that it fails alone, by its result
-code, and the other lanes are right.
+are still being traced by JAX become NaN instead, in ``jit``, ``vmap`` and derivatives
+alike: a run with them ends with a code and names the field (:mod:`rollkane.codes`), and
+a member of a batch fails alone. Nothing calls back to the host.
 """
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -52,11 +51,6 @@ def is_traced(*values: Any) -> bool:
     return any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
 
 
-def _is_batched(x: Array) -> bool:
-    # JAX offers no public name for the tracer of vmap
-    return type(x).__name__ == "BatchTracer"
-
-
 def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) -> Array:
     """Convert to an array of floats of the given shape, or say why it cannot be.
 
@@ -88,8 +82,33 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
     widest = jnp.result_type(float)
     if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
         array = array.astype(widest)
+    if is_traced(array):
+        return _finite_or_nan(array)
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
     return jnp.asarray(array)
+
+
+@jax.jit
+def _finite_or_nan(array: Array) -> Array:
+    return spoilt(array, ~jnp.all(jnp.abs(array) < jnp.inf))
+
+
+def spoilt(array: Any, bad: Any) -> Array:
+    """The array, or NaN where it is bad: its derivatives, backwards too."""
+    array = jnp.asarray(array)
+    return array * jnp.where(bad, jnp.nan, 1.0).astype(array.dtype)
+
+
+@jax.custom_jvp
+def cleared(array: Array, good: Array) -> Array:
+    """The array, or zeros where it is not good; their derivatives are NaN."""
+    return jnp.where(good, array, 0.0)
+
+
+@cleared.defjvp
+def _(primals, tangents):
+    array, good = primals
+    return cleared(array, good), spoilt(tangents[0], ~good)
 
 
 def refuse(
@@ -110,8 +129,7 @@ def refuse(
         remedy: What to do.
 
     Raises:
-        FieldError: at once for known numbers; for traced ones the text is raised at
-            run time, except under ``vmap``, where the lane becomes NaN.
+        FieldError: known numbers that are bad; traced ones become NaN.
     """
     if callable(bad):
         bad = bad(array if is_traced(array) else np.asarray(array))
@@ -119,10 +137,7 @@ def refuse(
         if bool(np.any(bad)):
             raise FieldError(field, array, problem, remedy)
         return array
-    bad = jnp.any(bad)
-    if _is_batched(array) or _is_batched(bad):
-        return jnp.where(bad, jnp.nan, array)
-    return eqx.error_if(array, bad, f"{field}: {problem}; {remedy}")
+    return spoilt(array, jnp.any(bad))
 
 
 def positive(field: str, value: Any, shape: tuple[int | None, ...], meaning: str):
@@ -138,6 +153,19 @@ def flag(field: str, value: Any) -> bool:
     if not isinstance(value, (bool, np.bool_)):
         raise FieldError(field, value, "must be True or False", "write one of the two")
     return bool(value)
+
+
+def whole(field: str, value: Any, least: int, remedy: str) -> int:
+    """A whole number, no less than another.
+
+    Raises:
+        FieldError: it is not.
+    """
+    good = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not good or value < least:
+        problem = f"must be a whole number of at least {least}"
+        raise FieldError(field, value, problem, remedy)
+    return int(value)
 
 
 def not_negative(field: str, value, unit: str) -> Float[Array, ""]:

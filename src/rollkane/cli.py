@@ -112,6 +112,7 @@ def simulate(
             "atol": atol or file.atol,
             "max_steps": max_steps,
             "modes": file.modes,
+            "second_contact": file.second_contact,
         },
         quiet,
     )
@@ -213,6 +214,10 @@ def work_precision(
     click.echo(f"{file.title}: {work.horizon:g} s")
     click.echo(work.table())
     click.echo(f"errors below {work.certainty:.1e} are unknown ({work.reference})")
+    if work.failure:
+        if json_file is not None:
+            targets["json"].write_text(work.to_json())
+        raise click.ClickException(f"{scene}: {work.failure}")
     try:
         best = work.recommend(error)
         click.echo(

@@ -4,6 +4,8 @@ The pose follows from the contact, never the other way round, so the body cannot
 the surface. All vectors are on BODY axes unless said otherwise.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,8 +22,9 @@ from .small_linear import (
     matvec,
     matvec_transposed,
     solve_2x2,
+    solve_4x4,
 )
-from .surfaces import AbstractSurface
+from .surfaces import AbstractSurface, Ring
 
 
 class Contact(eqx.Module):
@@ -48,6 +51,9 @@ class Contact(eqx.Module):
             it rolls.
         normal_rate: Absolute rate of the normal [1/s], body axes; None where nothing
             asks for it.
+        spare_spin: Of the state's angular velocity what is left out: turning about the
+            normal, relative to the base [rad/s]; None: nothing is.
+        spare_slip: Of its slip, the part along the normal [m/s]; None: it rolls.
 
     Source: theory, sections 1, 6, 7 and 8.1.
     """
@@ -66,6 +72,8 @@ class Contact(eqx.Module):
     base_angular_velocity: Float[Array, "3"] | None
     slip: Float[Array, "3"] | None
     normal_rate: Float[Array, "3"] | None
+    spare_spin: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    spare_slip: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
 
     @property
     def position(self) -> Float[Array, "3"]:
@@ -142,9 +150,9 @@ def rolling_contact(
 
     The normals obey ``n_body = -n_base``, so with ``r = n_body x Om`` the turns of both
     add up, ``K_b x_b + K_c x_c = r`` (K = -W), and the travels agree,
-    ``L_b x_b + U = L_c x_c``: the system of theory 8.1 for s = -1. Only what cannot
-    vanish is divided by: the turn of a body given by its normal, the length of any
-    other.
+    ``L_b x_b + U = L_c x_c``: the system of theory 8.1 for s = -1. Only non-vanishing
+    quantities are divided by: the turn of a body given by its normal, the length of any
+    other; of a wire either may vanish, and all four unknowns are solved for at once.
 
     Args:
         body: Surface of the body, body axes.
@@ -170,19 +178,21 @@ def rolling_contact(
         to_base = body_to_base(rotation, moving)
         normal = shell.frame[:, 2]
     relative, base_turn = relative_spin(angular_velocity, to_base, moving)
+    spare_spin = spare_slip = None
     if without_spin:
-        spin = normal * dot(normal, relative)
+        spin, spare_spin = _along(normal, relative)
         relative, angular_velocity = relative - spin, angular_velocity - spin
     if slip is not None:
         slip = matvec_transposed(rotation, slip)
-        slip = slip - normal * dot(normal, slip)
+        leaving, spare_slip = _along(normal, slip)
+        slip = slip - leaving
     turning = cross(normal, relative)
     body_rates = on_body
     if shell is not None:
-        roll = _roll_on_plane if base.is_flat else _roll_on_base
+        roll = _way_to_roll(body, base)
         velocity, x_body, x_base = roll(shell, ground, to_base, turning, slip)
         body_point = shell.position
-        body_rates = body.coordinate_rates(on_body, shell, x_body)
+        body_rates = _rates_on(body, on_body, shell, x_body)
     elif base.is_flat:
         assert point is not None
         body_point, velocity = jax.jvp(point, (normal,), (turning,))
@@ -206,12 +216,30 @@ def rolling_contact(
         base_point=ground.position,
         velocity=velocity,
         body_rates=body_rates,
-        base_rates=base.coordinate_rates(on_base, ground, x_base),
+        base_rates=_rates_on(base, on_base, ground, x_base),
         base=moving,
         base_angular_velocity=base_turn,
         slip=slip,
         normal_rate=normal_rate,
+        spare_spin=spare_spin,
+        spare_slip=spare_slip,
     )
+
+
+def _along(normal, vector) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+    """Part of a vector along a unit vector, and its size."""
+    size = dot(normal, vector)
+    return normal * size, size
+
+
+def _rates_on(surface: AbstractSurface, u, geometry: LocalGeometry, x) -> Array:
+    """Rates of coordinates, within the surface."""
+    return within(surface.extent(u), surface.coordinate_rates(u, geometry, x))
+
+
+def within(extent: Float[Array, ""] | None, rates: Float[Array, " k"]) -> Array:
+    """Rates of coordinates; NaN beyond the end of a surface, where no step may end."""
+    return rates if extent is None else jnp.where(extent > 0.0, rates, jnp.nan)
 
 
 def flight(
@@ -308,6 +336,13 @@ def _from_pair(pair, steps) -> Float[Array, "3"]:
     return first * pair[0] + second * pair[1]
 
 
+def _way_to_roll(body: AbstractSurface, base: AbstractSurface) -> Callable:
+    """How a body that carries its point rolls: which unknowns are solved for."""
+    if base.is_flat:
+        return _roll_on_plane
+    return _roll_as_wire if isinstance(body, Ring) else _roll_on_base
+
+
 def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning, slip):
     """Body given by its normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r + U``."""
     lengths_b = shell.lengths
@@ -352,3 +387,18 @@ def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning
     x_base = solve_2x2(system, rhs - matvec(shell.frame_rates, left_out))
     velocity = _from_pair(pair, matvec(steps, x_base)) - slip
     return velocity, matvec(own, x_base) - left_out, x_base
+
+
+def _roll_as_wire(shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip):
+    """Body that is a wire: ``K_b x_b + T K_c x_c = r``, ``T L_c x_c - L_b x_b = U``."""
+    pair = shell.frame[:, 0], shell.frame[:, 1]
+    tangents = _tangents_in_body(ground, rotation)
+    mixing = jnp.stack([_on_pair(tangents, e) for e in pair])
+    steps = matmul(mixing, ground.lengths)
+    turns = -matmul(mixing, ground.frame_rates)
+    above = jnp.concatenate([-shell.frame_rates, turns], axis=1)
+    below = jnp.concatenate([-shell.lengths, steps], axis=1)
+    across = _on_pair(pair, turning)
+    along = jnp.zeros_like(across) if slip is None else _on_pair(pair, slip)
+    x = solve_4x4(jnp.concatenate([above, below]), jnp.concatenate([across, along]))
+    return _from_pair(pair, matvec(shell.lengths, x[:2])), x[:2], x[2:]

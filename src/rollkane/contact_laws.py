@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .checks import FieldError
 from .contact import Contact
 from .mass_matrix import System
 from .rotations import tangent_pair
@@ -97,10 +98,17 @@ def accelerations(
         contact: Its contact.
         system: Its mass matrix and right-hand side.
 
+    Raises:
+        FieldError: a law that the contact's coordinates do not have.
+
     Source: theory, sections 4.1 (rolling), 8.2 (rubber), 8.3 (resistance), 8.4
     (slipping).
     """
     law = scene.contact
+    if isinstance(law, (RubberRolling, Slipping)) and contact.normal_rate is None:
+        problem = "does not belong to a state that rolls without slipping"
+        remedy = "use Rolling(), or a state of this scene in pole-free coordinates"
+        raise FieldError("Scene.contact", law, problem, remedy)
     if isinstance(law, Flying):
         return _flying(scene, contact, system)
     resisting = _resistance(scene, contact)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from .contact import Contact
 from .rotations import quaternion_rates
-from .small_linear import dot, matvec
+from .small_linear import cross, dot, matvec
 
 
 class State(eqx.Module):
@@ -51,7 +51,15 @@ class State(eqx.Module):
             contact: Its contact, with the rates of the contact coordinates.
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
+
+        What of the state's velocities the contact does not allow, and so leaves out,
+        goes along with the normal, so that it stays out.
         """
+        if contact.spare_spin is not None:
+            N, w = contact.normal, contact.angular_velocity
+            assert contact.normal_rate is not None
+            along = contact.spare_spin * (contact.normal_rate - cross(w, N))
+            angular_acceleration = angular_acceleration + along
         return State(
             orientation=quaternion_rates(self.orientation, contact.angular_velocity),
             angular_velocity=angular_acceleration,
@@ -106,6 +114,8 @@ class SlidingState(State):
         assert rate is not None
         assert slip_acceleration is not None
         change = slip_acceleration - contact.normal * dot(slip, rate)
+        assert contact.spare_slip is not None
+        change = change + contact.spare_slip * rate
         moved = matvec(contact.rotation, change)
         return SlidingState(**shared_parts(rolling), slip=moved)
 

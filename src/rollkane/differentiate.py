@@ -32,6 +32,7 @@ def differentiable(
     push: Callable | None = None,
     pull: Callable | None = None,
     twice: Callable | None = None,
+    unknown: Callable | None = None,
 ) -> PyTree:
     """Run a solve so that it can be differentiated in both modes.
 
@@ -51,10 +52,12 @@ def differentiable(
             list ``varied``; None: those of the replay by diffrax's adjoint.
         twice: Called, with any arguments, where a derivative is differentiated, to
             refuse it; None: it can be.
+        unknown: ``unknown(outputs)`` -> a tree like them, of truth values: what of them
+            has no derivative; None: what is NaN.
 
     Returns:
         The outputs. Derivatives of integer outputs are zero, and those of outputs
-        that are NaN (not reached) are NaN.
+        that are NaN (not reached), or unknown, are NaN.
     """
     moving, fixed = eqx.partition(inputs, eqx.is_inexact_array)
     leaves, tree = jax.tree.flatten(moving)
@@ -74,7 +77,11 @@ def differentiable(
             linear = _Replay(solve, known, checkpoints, push, pull).linear
             if twice is not None:
                 linear = linear._replace(again=Linear(twice, twice))
-            unreached = [jnp.isnan(value) for value in values]
+            masks = jax.tree.map(jnp.isnan, dynamic)
+            if unknown is not None:
+                of_floats = jax.tree.map(eqx.is_inexact_array, outputs)
+                masks = eqx.filter(unknown(outputs), of_floats)
+            unreached = jax.tree.leaves(masks)
             residuals = [*primals, *rows, *unreached]
             values_dot = linear_call(linear, residuals, live, _sizes(values))
         else:

@@ -13,16 +13,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .checks import FieldError, is_traced
+from .checks import FieldError, is_traced, whole
+from .codes import Code, Fields
 from .coordinates import State
-from .integration import checked_times, default_solver, tolerances
+from .integration import (
+    checked_times,
+    default_solver,
+    tolerances,
+    warn_without_compiler,
+)
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
 from .modes import Modes
+from .native import NoCompilerError, check_usable
 from .scene import Scene
 from .simulation import NotNativeError, check_span, check_start, simulate
 from .solving import UNRECORDED_STEPS
-from .trajectory import Code, reason_of
 
 # what a block's states may take [bytes]
 _ROOM = 2**25
@@ -46,9 +52,12 @@ class Ensemble(eqx.Module):
         final_state: State at that time, every array with (N,) in front.
         steps: Accepted steps, shape (N,).
         rejected_steps: Rejected steps, shape (N,).
+        fault: Which number of the scene, the start or the times cannot be used, as
+            ``reasons`` names it, shape (N,); -1: none.
         first: Number of the first member: of a block, its place in the ensemble.
         method: ``"native"`` or ``"diffrax"``: which integrated.
         why: Why it was not the native loop; empty if it was, or if diffrax was asked.
+        fields: Names of the numbers that ``fault`` counts.
     """
 
     time: Float[Array, " T"]
@@ -59,9 +68,11 @@ class Ensemble(eqx.Module):
     final_state: State
     steps: Int[Array, " N"]
     rejected_steps: Int[Array, " N"]
+    fault: Int[Array, " N"]
     first: int
     method: str = eqx.field(static=True)
     why: str = eqx.field(static=True)
+    fields: Fields = eqx.field(static=True)
 
     @property
     def succeeded(self) -> Any:
@@ -71,8 +82,9 @@ class Ensemble(eqx.Module):
     @property
     def reasons(self) -> dict[str, int]:
         """Why motions ended, and how many ended so."""
-        counts = Counter(np.asarray(self.code).tolist())
-        return {reason_of(code): count for code, count in sorted(counts.items())}
+        codes, faults = np.asarray(self.code).tolist(), np.asarray(self.fault).tolist()
+        counts = Counter(zip(codes, faults, strict=True))
+        return {self.fields.reason(*why): n for why, n in sorted(counts.items())}
 
 
 def ensemble(
@@ -204,6 +216,7 @@ class _Run:
         self.observe = observe
         example = self.members.example
         self.example = jax.eval_shape(example) if self.traced else example()
+        self.fields = Fields.of(self.example[0], self.example[1])
         dtype = self.example[1].angular_velocity.dtype
         self.times = checked_times(times, dtype)
         known, _ = tolerances(rtol, atol, dtype)
@@ -213,10 +226,9 @@ class _Run:
             "max_steps": max_steps,
             "solver": default_solver(known) if solver is None else solver,
         }
-        self.why, self.lanes = "", None
+        self.why, self.lanes, self.method = "", None, method
         if not self.traced:
             self._check(modes)
-        self.method = method
         if method != "diffrax" and not self.traced:
             self._choose(method)
         self.block = self._size(block)
@@ -233,12 +245,15 @@ class _Run:
         try:
             self.lanes = self._by_lanes()
         except NotForLanesError as error:
-            if method == "native":
+            if isinstance(error.__cause__, NoCompilerError):
+                self._without_compiler(error.__cause__)
+            elif method == "native":
                 remedy = 'choose method="diffrax" or "auto"'
                 raise FieldError(
                     "ensemble.method", method, str(error), remedy
                 ) from error
-            self.why = str(error)
+            else:
+                self.why = str(error)
 
     def _by_lanes(self) -> LaneBlocks:
         if self.how["modes"] is not None:
@@ -270,12 +285,20 @@ class _Run:
         try:
             if self.how["modes"] is not None:
                 raise NotNativeError(_NO_MODES)
+            check_usable()
             return self._simulated(*every, method="native")
         except NotNativeError as error:
             if self.method == "native":
                 raise
             self.why = error.problem
+        except NoCompilerError as error:
+            self._without_compiler(error)
         return self._simulated(*every)
+
+    def _without_compiler(self, error: NoCompilerError) -> None:
+        self.why = str(error)
+        if self.method == "native":
+            warn_without_compiler(error)
 
     def blocks(self) -> Iterator[Ensemble]:
         """The blocks in order; while one is taken, the next ones are computed."""
@@ -322,6 +345,7 @@ class _Run:
             self.lanes.states(results.final_y),
             results.steps,
             results.rejected_steps,
+            results.fault,
         )
 
     def _simulated(
@@ -343,6 +367,7 @@ class _Run:
             run.final_state,
             run.steps,
             run.rejected_steps,
+            run.fault,
         )
 
     def _ensemble(self, method, first, count, scene, state, *rest) -> Ensemble:
@@ -356,7 +381,8 @@ class _Run:
             # without what filled the block up
             parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
         times: Any = self.times
-        return Ensemble(times, *parts, first=first, method=method, why=self.why)
+        how: dict[str, Any] = {"method": method, "why": self.why}
+        return Ensemble(times, *parts, first=first, fields=self.fields, **how)
 
 
 @eqx.filter_jit
@@ -380,9 +406,4 @@ def _processors() -> int:
 def _whole(name: str, value: Any, default: int) -> int:
     if value is None:
         return default
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        remedy = f"give one, or leave {name} out"
-        raise FieldError(
-            f"ensemble.{name}", value, "must be a whole number above zero", remedy
-        )
-    return int(value)
+    return whole(f"ensemble.{name}", value, 1, f"give one, or leave {name} out")

@@ -85,8 +85,12 @@ class LocalGeometry(eqx.Module):
 
         1 where their effects are equal and at right angles, 0 at the pole of a chart.
         """
+        return self.regularity_by(jnp.ones(2, self.lengths.dtype))
+
+    def regularity_by(self, units: Float[Array, "2"]) -> Float[Array, ""]:
+        """The same for coordinates that are measured by units of their own [1]."""
         effects = []
-        for matrix in (self.lengths, self.frame_rates):
+        for matrix in (self.lengths * units[None], self.frame_rates * units[None]):
             largest = jnp.max(jnp.abs(matrix))
             tiny = jnp.finfo(matrix.dtype).tiny
             effects.append(matrix / jnp.maximum(largest, tiny))

@@ -14,19 +14,23 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
 
 from . import replay
-from .checks import FieldError, is_traced, real
+from .checks import FieldError, cleared, is_traced, real, whole
+from .codes import NO_FAULT, Code, first_fault
 from .coordinates import pack, unpack
 from .differentiate import differentiable
-from .keeping import Keeping
+from .keeping import BroughtBack
 from .native import zeros_of
 from .replay import Run, Steps
-from .solving import Plan, Problem, landings_of, plain, solve
+from .solving import Plan, Problem, Solution, landings_of, plain, solve
+from .steps import Stops, stops_of
 from .tableau import weights_of
-from .trajectory import Code
 
+# Relative tolerance above which a step may be as wrong as it is long.
+LOOSEST = 0.1
 # Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
 _CHECKPOINTS = 4096
 _NO_METER = dfx.NoProgressMeter()
@@ -43,6 +47,8 @@ class Outcome(eqx.Module):
         final_state: State at that time.
         steps: Accepted steps.
         rejected_steps: Rejected steps.
+        fault: Which number of model, start or times cannot be used; see
+            :class:`rollkane.codes.Fields`.
     """
 
     time: Float[Array, " T"]
@@ -52,6 +58,7 @@ class Outcome(eqx.Module):
     final_state: Any
     steps: Array
     rejected_steps: Array
+    fault: Array
 
 
 def integrate(
@@ -70,6 +77,7 @@ def integrate(
     max_steps: int | None,
     progress_meter: dfx.AbstractProgressMeter | None,
     native: bool = False,
+    allowed: Callable | None = None,
 ) -> Outcome:
     """Integrate a start to the asked times; see ``rollkane.simulate``.
 
@@ -89,6 +97,8 @@ def integrate(
         progress_meter: diffrax progress meter, or None.
         native: Whether the loop is the one in C, which has diffrax's explicit methods
             and no controller, adjoint, ``saveat`` and progress meter of the user's.
+        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
+            anywhere.
 
     Raises:
         FieldError: tolerances out of range.
@@ -98,6 +108,7 @@ def integrate(
     dtype = times.dtype
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
+    check_steps(max_steps, dt0)
     plan = Plan(
         problem=problem,
         solver=default_solver(rtol) if solver is None else solver,
@@ -107,21 +118,24 @@ def integrate(
         max_steps=max_steps,
         progress_meter=_NO_METER if progress_meter is None else progress_meter,
         zeros=tuple(map(zeros_of, jax.tree.leaves(model))) if native else None,
+        allowed=allowed,
     )
+    stops = stops_of(times)
     numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
     if stepsize_controller is None and saveat is None:
-        return _integrate(plan, None, model, start, times, numbers, dt0)
+        return _integrate(plan, None, model, start, times, stops, numbers, dt0)
     arrays, plan = eqx.partition(plan, eqx.is_array)
-    return _integrate(plan, arrays, model, start, times, numbers, dt0)
+    return _integrate(plan, arrays, model, start, times, stops, numbers, dt0)
 
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
+# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
 @functools.partial(jax.jit, static_argnums=0)
-def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outcome:
+def _integrate(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
-    if isinstance(plan.solver, Keeping):
+    if isinstance(plan.solver, BroughtBack):
         plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
 
     @jax.jit  # traced once, however often the integrator evaluates it
@@ -129,33 +143,67 @@ def _integrate(plan, plan_arrays, model, start, times, tolerances, dt0) -> Outco
         return pack(plan.problem.derivative(model, t, unpack(y, like)))
 
     def one(inputs, replay, adjoint):
-        return solve(plan, rates, like, inputs, replay, adjoint)
+        *inputs, spoilt = inputs
+        found, record = solve(plan, rates, like, tuple(inputs), replay, adjoint)
+        numbers = lambda s: (s.y, s.final_y)
+        return eqx.tree_at(numbers, found, replace_fn=lambda x: x + spoilt), record
 
+    fault, code_of_fault = first_fault(model, start, in_order(times))
+    good = fault == NO_FAULT
+    fixed_stops = jax.lax.stop_gradient(stops.time)
+    start = plan.problem.consistent(model, fixed_stops[0], start)
     y0 = pack(start)
     # NaN would keep the step controller going for ever; zero stops it at the start
-    y0 = jnp.where(jnp.all(jnp.isfinite(y0)), y0, 0.0)
+    y0 = cleared(y0, good & jnp.all(jnp.isfinite(y0)))
     y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
-    fixed_times = jax.lax.stop_gradient(times)
     rtol, atol, by_size = tolerances
     sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
     atol = atol * jnp.where(by_size, sizes, 1.0)
-    inputs = (model, y0, fixed_times, rtol, atol, dt0)
+    spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
+    inputs = (model, y0, fixed_stops, rtol, atol, dt0, spoilt)
     if plan.adjoint is None:
         by_steps = _by_steps(plan, rates) if plain(plan, times) else (None, None)
-        solution = differentiable(one, inputs, _CHECKPOINTS, *by_steps)
+        solution = differentiable(
+            one, inputs, _CHECKPOINTS, *by_steps, unknown=lambda s: s.unknown
+        )
     else:
         solution = one(inputs, None, plan.adjoint)[0]
-    y = solution.y
     if plan.saveat is None:
-        move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
-        y = move(y, times)
-    code = jnp.where(in_order(times), solution.code, Code.BAD_START)
+        solution = _in_time(solution, rates, times, stops, model)
+    else:
+        refused = _not_by_times(jnp.zeros_like(times[0]), times)
+        numbers = lambda s: (s.y, s.final_y, s.final_time)
+        solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
     return Outcome(
         time=times if plan.saveat is None else solution.time,
-        state=unpack(y, like),
-        code=code,
+        state=unpack(solution.y, like),
+        code=jnp.where(good, solution.code, code_of_fault),
         final_time=solution.final_time,
         final_state=unpack(solution.final_y, like),
+        steps=solution.steps,
+        rejected_steps=solution.rejected_steps,
+        fault=fault,
+    )
+
+
+def _in_time(solution: Solution, rates, times, stops: Stops, model) -> Solution:
+    """The outputs at their stops, and how everything moves with the times."""
+    y, final_y, code = solution.y, solution.final_y, solution.code
+    if stops.last is not None:
+        # a span below the clock's steps is no motion
+        instant = stops.last[-1] == 0
+        y = jnp.where(instant, y[:1], y[stops.last])
+        final_y = jnp.where(instant, y[0], final_y)
+        code = jnp.where(instant, Code.COMPLETED, code)
+    move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
+    ended = code == Code.COMPLETED
+    # where a run stops of itself does not follow the last time
+    return Solution(
+        time=solution.time,
+        y=move(y, times),
+        final_time=jnp.where(ended, times[-1], solution.final_time),
+        final_y=_moved_in_time(rates, final_y, times[-1], model, 1.0),
+        code=code,
         steps=solution.steps,
         rejected_steps=solution.rejected_steps,
     )
@@ -211,20 +259,71 @@ def _moved_in_time_jvp(primals, tangents):
     return y, y_dot
 
 
-_warned = False
+@jax.custom_jvp
+def _not_by_times(x: Array, times: Array) -> Array:
+    """A number, of which derivatives by the times are refused."""
+    del times
+    return x
+
+
+@functools.partial(_not_by_times.defjvp, symbolic_zeros=True)
+def _not_by_times_jvp(primals, tangents):
+    x_dot, by_times = tangents
+    if not isinstance(by_times, SymbolicZero):
+        raise FieldError(
+            "simulate.saveat",
+            "...",
+            "cannot be differentiated by the times",
+            "leave saveat out: outputs at times are",
+        )
+    x = primals[0]
+    return x, jnp.zeros_like(x) if isinstance(x_dot, SymbolicZero) else x_dot
+
+
+_warned: set[str] = set()
+
+
+def _warn_once(kind: type[Warning], what: str, text: str) -> None:
+    if what not in _warned:
+        _warned.add(what)
+        warnings.warn(text, kind, stacklevel=4)
 
 
 def warn_single_precision(dtype) -> None:
     """Say once what single precision costs, where the program has not chosen it."""
-    global _warned
-    if dtype == jnp.float32 and jnp.result_type(float) == dtype and not _warned:
-        _warned = True
-        warnings.warn(
+    if dtype == jnp.float32 and jnp.result_type(float) == dtype:
+        _warn_once(
+            UserWarning,
+            "precision",
             "rollkane runs in single precision: about 6 digits, and tolerances below "
             '1e-6 cannot be met. jax.config.update("jax_enable_x64", True) at the '
             "start of the program gives double precision.",
-            stacklevel=3,
         )
+
+
+def warn_without_compiler(error: Exception) -> None:
+    """Say once why the native loop is not used, where it was asked for."""
+    _warn_once(
+        RuntimeWarning,
+        "compiler",
+        f'method="native" is not to be had here, and diffrax takes its place: {error}',
+    )
+
+
+def check_steps(max_steps: Any, dt0: Any) -> None:
+    """Refuse a number of steps that is none, and a first step without length.
+
+    Raises:
+        FieldError: they are given and no such numbers.
+    """
+    if max_steps is not None:
+        whole("simulate.max_steps", max_steps, 1, "give how many steps may be taken")
+    if dt0 is not None and not is_traced(dt0):
+        number = not isinstance(dt0, (str, bytes, bool)) and np.ndim(dt0) == 0
+        if not (number and 0.0 < float(dt0) < np.inf):
+            problem = "must be a positive number, backwards in time, too"
+            remedy = "give the length of the first step [s], or leave it out"
+            raise FieldError("simulate.dt0", dt0, problem, remedy)
 
 
 def _scalar(x, dtype):
@@ -294,6 +393,13 @@ def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
                 f"give {floor:.1g} or more"
                 + ("" if double else ", or use double precision"),
             )
+    if not is_traced(rtol) and rtol > LOOSEST:
+        raise FieldError(
+            "simulate.rtol",
+            rtol,
+            "leaves no digit of the motion right",
+            f"give {LOOSEST:g} or less, 1e-9 for instance",
+        )
     return rtol, atol
 
 

@@ -1,5 +1,6 @@
 """Steps that are brought back onto what the motion keeps."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -34,22 +35,15 @@ class _Corrected(dfx.AbstractLocalInterpolation):
         return inner.evaluate(t0, left=left) + share * self.change
 
 
-class Keeping(dfx.AbstractWrappedSolver):
-    """A solver whose every step ends on the integrals of the motion.
-
-    For long runs and for motions next to a separatrix, where the rounding of one step
-    decides when the next turn comes. What is kept, and how, is the user's to know.
+class BroughtBack(dfx.AbstractWrappedSolver):
+    """A solver whose every step is brought back onto something.
 
     Attributes:
         solver: A diffrax solver.
-        keep: ``keep(state)`` -> the state that the motion can have: a function of
-            ``State`` or ``KaneState`` that moves it by no more than the error of a
-            step. Its constants are fixed; derivatives pass through it.
         like: Sizes of the state; set by ``simulate``.
     """
 
     solver: dfx.AbstractSolver
-    keep: Callable[[Any], Any] = eqx.field(static=True)
     like: Any = eqx.field(static=True, default=None)
 
     @property
@@ -92,51 +86,110 @@ class Keeping(dfx.AbstractWrappedSolver):
         """That of the solver."""
         return self.solver.func(terms, t0, y0, args)
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """A step of the solver, brought back."""
+    def advanced(self, terms, t0, t1, y0, args, memory, keep: Callable):
+        """A step of the solver, its end brought back by a function of the state."""
         # rates that the solver remembers from its own end would be slightly others
         made_jump = True
-        stepped = self.solver.step(terms, t0, t1, y0, args, solver_state, made_jump)
+        stepped = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
         y1, error, dense, memory, result = stepped
-        kept = pack(self.keep(unpack(y1, self.like)))
+        kept = pack(keep(unpack(y1, self.like)))
         return kept, error, {"dense": dense, "change": kept - y1}, memory, result
 
-    def of(self, like: Any) -> "Keeping":
+    def of(self, like: Any) -> "BroughtBack":
         """For states of known sizes."""
-        return Keeping(self.solver, self.keep, like)
+        return dataclasses.replace(self, like=like)
+
+
+class Keeping(BroughtBack):
+    """A solver whose every step ends on the integrals of the motion.
+
+    For long runs and for motions next to a separatrix, where the rounding of one step
+    decides when the next turn comes. What is kept, and how, is the user's to know.
+
+    Attributes:
+        solver: A diffrax solver.
+        keep: ``keep(state)`` -> the state that the motion can have: a function of
+            ``State`` or ``KaneState`` that moves it by no more than the error of a
+            step. Its constants are fixed; derivatives pass through it.
+        like: Sizes of the state; set by ``simulate``.
+    """
+
+    keep: Callable[[Any], Any] = eqx.field(static=True, kw_only=True)
+
+    def __init__(self, solver: dfx.AbstractSolver, keep: Callable, like: Any = None):
+        """Make one of a solver and a function of the state (see the class)."""
+        self.solver, self.keep, self.like = solver, keep, like
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """A step of the solver, brought back."""
+        del made_jump
+        return self.advanced(terms, t0, t1, y0, args, solver_state, self.keep)
+
+
+class KeepingEnergy(BroughtBack):
+    """A solver whose every step ends on the energy with which its run began.
+
+    The energy is that of the scene which is run, at its own first state.
+
+    Attributes:
+        solver: A diffrax solver.
+        like: Sizes of the state; set by ``simulate``.
+    """
+
+    def init(self, terms, t0, t1, y0, args):
+        """That of the solver, and the energy [J] at the beginning."""
+        memory = self.solver.init(terms, t0, t1, y0, args)
+        return memory, energy(args, t0, unpack(y0, self.like))
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """A step of the solver, brought back by scaling the angular velocity."""
+        del made_jump
+        memory, wanted = solver_state
+        keep = functools.partial(_with_energy, args, t1, wanted)
+        *ended, memory, result = self.advanced(terms, t0, t1, y0, args, memory, keep)
+        return *ended, (memory, wanted), result
+
+
+def _with_energy(scene: Scene, t, wanted, state: State) -> State:
+    """The state, its angular velocity scaled to an energy [J]."""
+    moving = kinetic_energy(scene, t, state)
+    resting = energy(scene, t, state) - moving
+    scale = jnp.sqrt((wanted - resting) / moving)
+    turned = scale * state.angular_velocity
+    return eqx.tree_at(lambda s: s.angular_velocity, state, turned)
 
 
 def keeping_energy(
-    scene: Scene, start: State, solver: dfx.AbstractSolver | None = None
-) -> Keeping:
-    """A solver whose every step ends on the energy [J] of the start.
+    scene: Scene, start: State | None = None, solver: dfx.AbstractSolver | None = None
+) -> KeepingEnergy:
+    """A solver whose every step ends on the energy [J] with which its run began.
 
-    The angular velocity is scaled by what the step's error asks for. Make it once:
-    every new one is compiled anew.
+    The angular velocity is scaled by what the step's error asks for.
 
     Args:
-        scene: One that keeps its energy.
-        start: Where the motion starts; the body must move there.
+        scene: One that keeps its energy; that which is run must do so, too.
+        start: Not used: the energy is that of the start which is run. The body must
+            move there.
         solver: A diffrax solver; ``Dopri8()`` when left out.
 
     Raises:
         FieldError: a scene whose energy may change, or that carries coordinates.
     """
+    del start
+    check_keeps_energy("keeping_energy.scene", scene)
+    return KeepingEnergy(dfx.Dopri8() if solver is None else solver)
+
+
+def check_keeps_energy(field: str, scene: Scene) -> None:
+    """Refuse a scene whose energy may change, or that carries coordinates.
+
+    Raises:
+        FieldError: it does.
+    """
     if scene.does_work or scene.base.motion is not None or scene.coordinate_count:
         raise FieldError(
-            "keeping_energy.scene",
+            field,
             scene,
             "does not keep its energy, or carries coordinates",
             "leave out what does work, or write the function for Keeping yourself",
         )
-    zero = jnp.zeros((), start.angular_velocity.dtype)
-    wanted = energy(scene, zero, start)
-
-    def keep(state: State) -> State:
-        moving = kinetic_energy(scene, zero, state)
-        resting = energy(scene, zero, state) - moving
-        scale = jnp.sqrt((wanted - resting) / moving)
-        turned = scale * state.angular_velocity
-        return eqx.tree_at(lambda s: s.angular_velocity, state, turned)
-
-    return Keeping(dfx.Dopri8() if solver is None else solver, keep)

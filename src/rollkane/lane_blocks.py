@@ -9,19 +9,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .codes import NO_FAULT, first_fault, is_stuck
+from .consistency import consistent
 from .coordinates import pack, unpack
 from .integration import tolerances
 from .members import Members
 from .native import LaneLoop, NoCompilerError, Queue, Results, Stops, zeros_of
 from .numberwise import NotElementwiseError
 from .rolling import rolling_derivative
-from .rolling_run import code_by_margin, corners, error_sizes, has_margin
-from .steps import first_step, landings
+from .rolling_run import corners, error_sizes, explained, explains_ends, unbroken
+from .scene import Scene
+from .solving import unbroken_numbers
+from .steps import first_step, landings, stops_of
 from .tableau import PLAIN, is_plain, weights_of
 
 
 class NotForLanesError(Exception):
-    """Why the loop over lanes cannot do what is asked."""
+    """Why the loop over lanes cannot do what is asked.
+
+    Where there is no compiler that works, that is its cause.
+    """
 
 
 class LaneBlocks:
@@ -68,7 +75,8 @@ class LaneBlocks:
         self._by_size = atol is None
         leaves, tree = jax.tree.flatten(scene)
         own = tuple(axis is not None for axis in members.scene_axes)
-        self._has_margin = has_margin(scene)
+        self._explains = explains_ends(scene, start)
+        self._outputs = stops_of(times)
         self._stops = self._landings(scene, members)
         kind = _Kind(
             extended=extended,
@@ -94,23 +102,25 @@ class LaneBlocks:
 
     def _landings(self, scene: Any, members: Members) -> Stops:
         """Where all lanes stop; the way of time is forwards."""
-        times = self._times
+        times, _ = self._outputs
         kinks, jump = corners(scene)
         sense = -1.0 if times[-1] < times[0] else 1.0
         if kinks is None:
-            ends = sense * times[1:]
-            return Stops(ends, ends, np.arange(len(ends)), len(ends))
-        if jax.tree.leaves(members.axes()[0].base.motion):
+            ends = starts = np.unique(sense * times[1:])
+        elif jax.tree.leaves(members.axes()[0].base.motion):
             raise NotForLanesError("the times of corners differ from member to member")
-        found = landings(jnp.asarray(times), kinks, jump)
-        ends, starts = np.asarray(found.ends), np.asarray(found.starts)
-        finite = np.isfinite(ends)
-        ends, starts = ends[finite], starts[finite]
-        outputs = times[1:]
-        nearest = np.argmin(np.abs(ends[:, None] - outputs), axis=1)
-        near = 100 * np.finfo(times.dtype).eps * np.max(np.abs(times))
-        slots = np.where(np.abs(ends - outputs[nearest]) <= near, nearest, -1)
-        return Stops(sense * ends, sense * starts, slots, len(outputs))
+        else:
+            found = landings(jnp.asarray(times), kinks, jump)
+            ends, starts = (
+                sense * np.asarray(found.ends),
+                sense * np.asarray(found.starts),
+            )
+        behind = np.isfinite(ends) & (ends > sense * times[0])
+        ends, starts = ends[behind], starts[behind]
+        # of outputs at one time the last
+        at = np.searchsorted(sense * times, starts, side="right") - 1
+        slots = np.where(sense * times[at] >= ends, at - 1, -1)
+        return Stops(ends, starts, slots, len(times) - 1)
 
     def run(self, scene: Any, starts: Any, count: int) -> tuple[np.ndarray, Results]:
         """Integrate one block.
@@ -123,9 +133,10 @@ class LaneBlocks:
         Returns:
             Packed states at the times, shape (M, T, n), and all results.
         """
-        axes = self._members.axes()[1]
         span = np.abs(self._times[-1] - self._times[0])
-        y0, sizes, steps = map(np.asarray, _prepared(axes, count, starts, span))
+        axes = self._members.axes()
+        begun = _prepared(axes, count, scene, starts, self._times[0], span)
+        y0, sizes, steps, fault, code_of_fault = map(np.asarray, begun)
         own, shared = [np.zeros((count, 0))], [np.zeros(0)]
         leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
         for leaf, axis in leaves:
@@ -156,17 +167,23 @@ class LaneBlocks:
             final_time=(sense * results.final_time).astype(y0.dtype),
         )
         y = np.concatenate([y0[:, None], results.y], axis=1)
-        if self._has_margin:
-            results = results._replace(code=self._code(scene, results))
-        return y, results
+        if self._outputs.last is not None:
+            y = y[:, self._outputs.last]
+        good = fault == NO_FAULT
+        y[~good], results.final_y[~good] = np.nan, np.nan
+        code = results.code
+        if self._explains and is_stuck(code[good]).any():
+            code = self._code(scene, results)
+        code = np.where(good, code, code_of_fault)
+        return y, results._replace(code=code, fault=fault)
 
     def states(self, y: Any) -> Any:
         """States of packed numbers; every array with the same axes in front."""
         return unpack(y, self.like)
 
     def _code(self, scene: Any, results: Results) -> np.ndarray:
-        """The codes, once Painleve's paradox is told from other small steps."""
-        mapped = jax.vmap(code_by_margin, in_axes=(0, self._members.axes()[0], 0, 0))
+        """The codes, once it is seen what a small step was."""
+        mapped = jax.vmap(explained, in_axes=(0, self._members.axes()[0], 0, 0))
         state = self.states(results.final_y)
         return np.asarray(mapped(results.code, scene, results.final_time, state))
 
@@ -193,6 +210,9 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         scene = jax.tree.unflatten(kind.tree, leaves)
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
+    example = jax.tree.unflatten(
+        kind.tree, [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves]
+    )
     return LaneLoop(
         derivative,
         jax.eval_shape(pack, like),
@@ -201,6 +221,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         weights_of(solver(), "the loop over lanes"),
         zeros=kind.zeros,
         extended=kind.extended,
+        watch=unbroken_numbers(unbroken, example, like),
     )
 
 
@@ -208,15 +229,20 @@ def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
-def _readied(start: Any, span: Any) -> tuple[Any, Any, Any]:
-    """A packed start, sizes of its numbers, and the first step [s]."""
+def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple:
+    """A packed start, sizes of its numbers, the first step [s], and what is wrong."""
+    fault, code = first_fault(scene, start, jnp.asarray(True))
+    start = consistent(scene, time, start)
     y = pack(start)
     # a start that is not finite ends at once, by its code
-    y = jnp.where(jnp.all(jnp.isfinite(y)), y, 0.0)
+    y = jnp.where((fault == NO_FAULT) & jnp.all(jnp.isfinite(y)), y, 0.0)
     step = first_step(start.angular_velocity, span)
-    return y, pack(error_sizes(start)), jnp.where(jnp.isfinite(step), step, 1.0)
+    step = jnp.where(jnp.isfinite(step), step, 1.0)
+    return y, pack(error_sizes(start)), step, fault, code
 
 
 @eqx.filter_jit
-def _prepared(axes: Any, count: int, starts: Any, span: Any) -> tuple[Any, Any, Any]:
-    return jax.vmap(_readied, (axes, None), axis_size=count)(starts, span)
+def _prepared(axes, count: int, scene, starts, time, span) -> tuple:
+    in_axes = (*axes, None, None)
+    mapped = jax.vmap(_readied, in_axes, axis_size=count)
+    return mapped(scene, starts, time, span)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import FieldError, is_traced
+from .checks import FieldError, is_traced, whole
 from .coordinates import State
 from .scene import Scene
 
@@ -82,7 +82,7 @@ def members_of(
     start_found = _axes_of("starts", starts, State, None)
     sizes = _sizes(scene, scene_found) | _sizes(starts, start_found)
     if count is not None:
-        sizes.add(_checked_count(count))
+        sizes.add(whole("ensemble.count", count, 1, "give one"))
     if scene_axes is None and not _is_made(scene):
         _refuse_unclear(scene, scene_found, sizes)
     remedy = "give every batched number the same first axis, one entry for each member"
@@ -114,14 +114,6 @@ def _refuse_unclear(scene: Scene, axes: list, sizes: set[int]) -> None:
                 "say it by scene_axes=, as in_axes of jax.vmap: 0, None, or a Scene "
                 "of them",
             )
-
-
-def _checked_count(count: Any) -> int:
-    if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
-        raise FieldError(
-            "ensemble.count", count, "must be a whole number above zero", "give one"
-        )
-    return int(count)
 
 
 def _mapped(function: Callable, tree: Any, axes: list) -> Any:

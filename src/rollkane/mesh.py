@@ -20,10 +20,13 @@ from .surfaces import (
     Graph,
     Plane,
     Revolution,
+    Ring,
+    Torus,
 )
 
-# Surfaces whose first coordinates are x and y: as long as one likes, drawn in part.
+# Surfaces with one height above each x and y: as long as one likes, drawn in part.
 HEIGHTS = (Plane, Graph, Cone)
+_WIRE = 0.02  # thickness of a drawn wire, of its ring's radius
 
 
 class Mesh(NamedTuple):
@@ -62,10 +65,13 @@ def surface_mesh(
 
     Returns:
         The mesh; places where the chart is not finite are left out (all of them:
-        no triangles). A sharp rim is drawn as a thin disc.
+        no triangles). A sharp rim is drawn as a thin disc, a wire as a thin torus.
     """
     if isinstance(surface, DiscEdge):
         return _disc(float(surface.radius), counts[0])
+    if isinstance(surface, Ring):
+        radius = float(surface.radius)
+        surface = Torus(radius, _WIRE * radius)
     places, marks = _grid(surface, _domain(surface, touched, size), counts)
     points = places.reshape(-1, 3)
     triangles = _triangles(points, counts)
@@ -144,7 +150,7 @@ def _domain(surface: AbstractSurface, touched: np.ndarray, size: float) -> np.nd
 def _used(surface: Revolution, s: np.ndarray, touched, size: float) -> np.ndarray:
     """The part of a meridian without ends that a motion uses."""
     places = np.linspace(s[0] - 2 * (s[1] - s[0]), s[1] + 2 * (s[1] - s[0]), 501)
-    height = _drawn(surface, np.stack([places, 0 * places], axis=1))[:, 2]
+    height = chart_points(surface, np.stack([places, 0 * places], axis=1))[:, 2]
     within = (height > touched[:, 2].min() - size) & (
         height < touched[:, 2].max() + size
     )
@@ -173,13 +179,6 @@ def _on_chart(surface: AbstractSurface, q):
     return jax.vmap(surface.chart)(q)
 
 
-def _drawn(surface: AbstractSurface, q: np.ndarray) -> np.ndarray:
-    """Points at drawing coordinates: those of the chart, but polar on a cone."""
-    if isinstance(surface, Cone):
-        q = q[:, :1] * np.stack([np.cos(q[:, 1]), np.sin(q[:, 1])], axis=1)
-    return chart_points(surface, q)
-
-
 def _grid(surface, domain, counts) -> tuple[np.ndarray, np.ndarray]:
     """Points spread evenly, shape (n1, n2, 3), and their marks, shape (n1 n2, 2)."""
     (low_1, high_1), (low_2, high_2) = domain
@@ -189,7 +188,7 @@ def _grid(surface, domain, counts) -> tuple[np.ndarray, np.ndarray]:
     ]
     for left in (2, 1, 0):
         q = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = _drawn(surface, q).reshape(*counts, 3)
+        places = chart_points(surface, q).reshape(*counts, 3)
         if left:
             lines = [_evened(lines[a], np.moveaxis(places, a, 0)) for a in range(2)]
     marks = [np.linspace(0.0, 1.0, n) for n in counts]

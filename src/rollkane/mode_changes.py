@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .consistency import spin_stopped
 from .coordinates import pack, unpack
 from .modes import (
     SMALLEST_SLIP,
@@ -18,6 +19,7 @@ from .modes import (
     slipping,
 )
 from .rolling import press_and_pull, rates_and_force, rolling_derivative
+from .scene import RubberRolling
 from .separation import impact, in_flight, nearest
 from .small_linear import dot, matvec
 from .tableau import Tableau
@@ -132,37 +134,42 @@ class Motion(eqx.Module):
         )
 
     def begun(self, mode, t, y: HybridState):
-        """Mode and direction at the start: what is without slip rolls if it is held."""
+        """Mode, direction and state at the start: what is without slip may grip."""
         speed = _size(y.slip)
         direction = y.slip / jnp.where(speed > 0.0, speed, 1.0)
-        settled, way = self.settled(t, y)
+        settled, way, gripped = self.settled(t, y)
         rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(speed > 0.0))
-        return jnp.where(rests, settled, mode), jnp.where(rests, way, direction)
+        grips = rests & (settled == Mode.ROLLING)
+        return (
+            jnp.where(rests, settled, mode),
+            jnp.where(rests, way, direction),
+            _picked(grips, gripped, y),
+        )
 
     def changed(self, mode, kind, direction, t, y: HybridState):
         """Mode, direction and state after an event."""
         rolls, flies = mode == Mode.ROLLING, mode == Mode.FLYING
-        pick = lambda c, a, b: jax.tree.map(lambda x, z: jnp.where(c, x, z), a, b)
         still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
-        y = pick(rolls, still, y)
+        y = _picked(rolls, still, y)
         touching, flying, up = still, y, jnp.asarray(False)
         if self.modes.restitution is not None:
             hit, slid, rebound = self._hit(t, y)
-            touching, up = pick(flies, slid, still), rebound > 0.0
+            touching, up = _picked(flies, slid, still), rebound > 0.0
             flying = hit
         if self.modes.lifts:
-            flying = pick(flies, flying, self._lifted(direction, t, y))
+            flying = _picked(flies, flying, self._lifted(direction, t, y))
         speed = _size(touching.slip)
         slips = speed > 0.0
-        stays, way = self.settled(t, touching)
+        stays, way, gripped = self.settled(t, touching)
         way = jnp.where(slips, touching.slip / jnp.where(slips, speed, 1.0), way)
         stays = jnp.where(slips, Mode.SLIPPING, stays)
         stays = jnp.where(rolls, Mode.SLIPPING, stays)  # what ended was the grip
+        touching = _picked(stays == Mode.ROLLING, gripped, touching)
         leaves = jnp.where(flies, up, kind == 1)
         return (
             jnp.where(leaves, Mode.FLYING, stays),
             jnp.where(leaves, direction, way),
-            pick(leaves, flying, touching),
+            _picked(leaves, flying, touching),
         )
 
     def _lifted(self, direction, t, y: HybridState) -> HybridState:
@@ -179,13 +186,25 @@ class Motion(eqx.Module):
         return of(flying), of(slid), rebound
 
     def settled(self, t, y: HybridState):
-        """Mode and direction of a contact without slip: it rolls if it is held."""
-        press, pull = press_and_pull(self.scenes.rolling, t, y.rolling())
+        """Mode and direction of a contact without slip, and its state if it rolls.
+
+        It rolls if it is held; on rubber an impulse ends its spin about the normal.
+        """
+        scene = self.scenes.rolling
+        if isinstance(scene.contact, RubberRolling):
+            held = spin_stopped(scene, t, y.rolling())
+            parts = held.angular_velocity, held.alpha_dot
+            y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
+        press, pull = press_and_pull(scene, t, y.rolling())
         mode = jnp.asarray(Mode.ROLLING)
         if self.modes.static_friction is not None:
             held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
-        return mode, -pull / jnp.where(_size(pull) > 0.0, _size(pull), 1.0)
+        return mode, -pull / jnp.where(_size(pull) > 0.0, _size(pull), 1.0), y
+
+
+def _picked(where, new: HybridState, old: HybridState) -> HybridState:
+    return jax.tree.map(lambda a, b: jnp.where(where, a, b), new, old)
 
 
 def _size(vector: Float[Array, "3"]) -> Float[Array, ""]:

@@ -30,9 +30,12 @@ class Path(NamedTuple):
     switches: Switches
 
     @staticmethod
-    def empty(begun: ModedState, outputs: int, switches: int) -> "Path":
-        """The start, and room for outputs and switches."""
-        y = begun.parts
+    def empty(begun: ModedState, times: Array, switches: int) -> "Path":
+        """The start, and room for outputs and switches.
+
+        Of outputs at one time only the last is saved; those at the first time are it.
+        """
+        y, outputs = begun.parts, times.shape[0]
         many = lambda n: jax.tree.map(
             lambda x: jnp.full((n, *x.shape), jnp.nan, x.dtype), y
         )
@@ -43,13 +46,14 @@ class Path(NamedTuple):
         none, blank = jnp.full(switches, jnp.nan, dtype), jnp.full(switches, -1)
         return Path(
             saved,
-            jnp.asarray(1),
+            jnp.searchsorted(times, times[0], side="right").astype(int),
             Switches(none, blank, blank, many(switches), jnp.asarray(0)),
         )
 
-    def after(self, saves, event, before, t, y, mode, direction) -> "Path":
-        """With a step that ended on an output, on an event, or on neither."""
-        store = lambda array, x: _put(array, self.index, saves, x)
+    def after(self, output, event, before, t, y, mode, direction) -> "Path":
+        """With a step that ended on an output (0: on none), and on an event or not."""
+        saves = output > 0
+        store = lambda array, x: _put(array, output, saves, x)
         saved = jax.tree.map(store, self.saved, ModedState(y, mode, direction))
         old = self.switches
         put = lambda array, x: _put(array, old.count, event, x)
@@ -60,7 +64,7 @@ class Path(NamedTuple):
             jax.tree.map(put, old.state, y),
             old.count + jnp.where(event, 1, 0),
         )
-        return Path(saved, self.index + jnp.where(saves, 1, 0), switches)
+        return Path(saved, jnp.where(saves, output + 1, self.index), switches)
 
 
 def _put(array: Array, i, where, x) -> Array:
@@ -161,14 +165,14 @@ def replayed(motion: Motion, mode, y, times, record: Record):
         Path, time and state.
     """
     begun = _begun(motion, mode, y, times)
-    path = Path.empty(begun.moded, times.shape[0], motion.modes.switches)
+    path = Path.empty(begun.moded, times, motion.modes.switches)
 
     def one(carry):
         i, place, path = carry
         row, turn = record.step(i, path.switches.count)
         end, shown = _stepped(motion, times, place, row, turn)
         event = row[_KIND] >= 0
-        path = path.after(row[_OUTPUT] > 0, event, place.mode, *shown)
+        path = path.after(row[_OUTPUT].astype(int), event, place.mode, *shown)
         return i + 1, end, path
 
     more = lambda carry: carry[0] < record.count
@@ -178,7 +182,7 @@ def replayed(motion: Motion, mode, y, times, record: Record):
 
 
 def _begun(motion: Motion, mode, y, times) -> Place:
-    mode, direction = motion.begun(mode, times[0], y)
+    mode, direction, y = motion.begun(mode, times[0], y)
     return Place(times[0], y, mode, direction)
 
 

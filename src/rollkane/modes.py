@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from .checks import not_negative, positive
+from .checks import FieldError, flag, not_negative, positive, refuse, whole
 from .coordinates import FlyingState, SlidingState, State, shared_parts
 from .friction import AbstractFriction
 from .rotations import rotation_matrix
@@ -62,14 +62,17 @@ class Modes(eqx.Module):
         Args:
             friction: Coefficient of sliding friction [1], zero or more; None: the body
                 never slips.
-            static_friction: Of sticking [1]; that of sliding when left out.
+            static_friction: Of sticking [1], that of sliding or more; the same when
+                left out.
             lifts: Whether the contact ends where it would have to pull.
-            restitution: Of a landing [1], zero or more; None: nothing lands.
+            restitution: Of a landing [1], from 0 to 1: none can give energy; None:
+                nothing lands.
             rest_speed: Rebounds slower than this stay in contact [m/s], positive.
             switches: How many changes are kept; a run with more ends.
 
         Raises:
-            FieldError: negative numbers.
+            FieldError: negative numbers, a restitution above one, sticking that holds
+                less than sliding.
         """
         self.contact = Rolling()
         self.friction = self.static_friction = self.restitution = None
@@ -77,13 +80,33 @@ class Modes(eqx.Module):
             unit = "without unit"
             static = friction if static_friction is None else static_friction
             self.friction = not_negative("Modes.friction", friction, unit)
-            self.static_friction = not_negative("Modes.static_friction", static, unit)
+            static = not_negative("Modes.static_friction", static, unit)
+            self.static_friction = refuse(
+                static,
+                static < self.friction,
+                "Modes.static_friction",
+                "is below that of sliding: a contact that grips would slip at once",
+                "give as much as friction, or more",
+            )
+        elif static_friction is not None:
+            raise FieldError(
+                "Modes.static_friction",
+                static_friction,
+                "is of no use without friction: the body never slips",
+                "give friction=, too",
+            )
         if restitution is not None:
-            self.restitution = not_negative(
-                "Modes.restitution", restitution, "without unit"
+            self.restitution = refuse(
+                not_negative("Modes.restitution", restitution, "without unit"),
+                lambda e: ~(e <= 1.0),
+                "Modes.restitution",
+                "must not be above 1: a rebound would give energy",
+                "give a number from 0 (plastic) to 1 (elastic)",
             )
         self.rest_speed = positive("Modes.rest_speed", rest_speed, (), "a speed in m/s")
-        self.lifts, self.switches = lifts, switches
+        self.lifts = flag("Modes.lifts", lifts)
+        remedy = "give how many changes are to be kept"
+        self.switches = whole("Modes.switches", switches, 1, remedy)
 
     @property
     def does_work(self) -> bool:

@@ -24,8 +24,8 @@ _ELEMENTWISE = frozenset(
     """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp
     convert_element_type copy cos cosh div eq exp exp2 expm1 floor ge gt integer_pow
-    is_finite le log log1p logistic lt max min mul ne neg not or pow rem rsqrt select_n
-    sign sin sinh sqrt square stop_gradient sub tan tanh
+    is_finite le log log1p logistic lt max min mul ne neg not one_minus_square or pow
+    rem rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 # programs inside a program, by the name of the parameter that holds them

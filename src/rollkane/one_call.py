@@ -23,19 +23,23 @@ _LITTLE_EFFORT = {
 
 
 def for_one_call(function: Callable) -> Callable:
-    """A function compiled with little effort where its arguments are known.
+    """A function compiled with little effort, wherever it is not part of a program.
 
-    With traced arguments it is the function itself, part of what is being traced.
+    Inside of ``jit`` it is the function itself. Where ``vmap`` or a derivative is taken
+    outside of it, what they make of it is compiled as one program.
     """
     compiled: Any = None
+    plain: Any = eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
         nonlocal compiled
-        if is_traced(arguments):
+        traced, inside = is_traced(arguments), is_traced(jnp.zeros(()))
+        if traced and inside:
             return function(*arguments)
+        if traced and not _only_mapped(arguments):
+            return plain(*arguments)  # derivatives take no options of the compiler
         # known arguments in the middle of a trace: outside of it all the same
-        inside = is_traced(jnp.zeros(()))
         with jax.ensure_compile_time_eval() if inside else nullcontext():
             if compiled is None:
                 options = _known_options()
@@ -44,6 +48,17 @@ def for_one_call(function: Callable) -> Callable:
             return compiled(*arguments)
 
     return call
+
+
+def _only_mapped(arguments: Any) -> bool:
+    """Whether what is traced is a batch of known numbers."""
+    for x in jax.tree.leaves(arguments):
+        # JAX offers no public name for it; without one, compiling takes longer
+        while type(x).__name__ == "BatchTracer":
+            x = x.val
+        if is_traced(x):
+            return False
+    return True
 
 
 @functools.cache

@@ -7,7 +7,7 @@ import numpy as np
 from .history import History
 from .mesh import HEIGHTS, chart_points, surface_mesh
 from .plot_style import FAINT, INK, RED, dress, limits
-from .surfaces import AbstractSurface, Plane
+from .surfaces import AbstractSurface, Cone, Plane
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -175,6 +175,8 @@ def _draw_heights(panel: "Axes", base: AbstractSurface, factor: float) -> None:
     """Height lines of a graph or a cone below the path."""
     x, y = (np.linspace(*lim(), 81) for lim in (panel.get_xlim, panel.get_ylim))
     q = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) / factor
+    if isinstance(base, Cone):  # its chart is polar
+        q = np.stack([np.hypot(*q.T), np.arctan2(*q.T[::-1])], axis=1)
     height = chart_points(base, q)[:, 2].reshape(81, 81)
     if np.ptp(height[np.isfinite(height)]) > 0:
         lines = panel.contour(

@@ -25,7 +25,15 @@ from .plot_style import (
     new_figure,
     png,
 )
-from .surfaces import AbstractSurface, Cone, Cylinder, DiscEdge, Revolution, Torus
+from .surfaces import (
+    AbstractSurface,
+    Cone,
+    Cylinder,
+    DiscEdge,
+    Revolution,
+    Ring,
+    Torus,
+)
 from .trajectory import Trajectory
 from .whole_file import write_whole
 
@@ -35,7 +43,7 @@ if TYPE_CHECKING:
 
 _FACES_UP = 0.5  # least z of the base's normals in a picture from above [1]
 _INDEX = "₁₂₃₄₅₆₇₈₉₀"
-_ROUND_BODIES = (Cone, Cylinder, DiscEdge, Revolution, Torus)
+_ROUND_BODIES = (Cone, Cylinder, DiscEdge, Revolution, Ring, Torus)
 
 
 def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":

@@ -9,6 +9,7 @@ import diffrax as dfx
 import numpy as np
 
 from .checks import FieldError
+from .codes import reason_of
 from .coordinates import State
 from .timed_runs import (
     PRECISIONS,
@@ -18,6 +19,7 @@ from .timed_runs import (
     reference_of,
     task_of,
     unfit,
+    without_native,
 )
 
 SOLVERS = ("Tsit5", "Dopri5", "Dopri8")
@@ -30,6 +32,9 @@ Progress = Callable[[int, int, str], None]
 @dataclasses.dataclass(frozen=True)
 class WorkPrecision:
     """A scene's cost of accuracy.
+
+    Where ``failure`` says something, no run reached the end: there is nothing to
+    compare, to draw or to recommend.
 
     Attributes:
         name: Of the scene.
@@ -46,6 +51,16 @@ class WorkPrecision:
     reference: str
     rows: tuple[Measured, ...]
     skipped: tuple[tuple[Setting, str], ...]
+
+    @property
+    def failure(self) -> str:
+        """Why no setting worked, as a sentence; "" if one did."""
+        if any(row.code == 0 for row in self.rows):
+            return ""
+        reasons = [f"{setting.series}: {why}" for setting, why in self.skipped]
+        reasons += [f"{r.setting.series}: {reason_of(r.code)}" for r in self.rows]
+        reasons = list(dict.fromkeys(reasons)) or ["none was asked for"]
+        return f"no setting worked ({'; '.join(reasons)})"
 
     def recommend(self, error: float = 1e-6) -> Measured:
         """The fastest of the measured runs that meets an end error.
@@ -86,7 +101,13 @@ class WorkPrecision:
         Args:
             path: PNG file to write.
             title: Above the figure; the scene's name by default.
+
+        Raises:
+            FieldError: no setting worked.
         """
+        if self.failure:
+            remedy = "give other settings, or a shorter horizon"
+            raise FieldError("WorkPrecision.rows", (), self.failure, remedy)
         from .plot_precision import plot_work_precision
 
         plot_work_precision(self, path, title or self.name)
@@ -205,6 +226,11 @@ def recommend(
     """
     task = task_of(scene, start, horizon)
     _check_choices(solvers, () if method == "auto" else (method,))
+    why = without_native() if method == "native" else ""
+    if why:
+        raise FieldError(
+            "recommend.method", method, f"cannot run here: {why}", 'give "auto"'
+        )
     reference = reference_of(task)
     if method == "auto":
         method = reference.method
@@ -259,7 +285,7 @@ def _fastest(rows: tuple[Measured, ...], error: float, certainty: float) -> Meas
         )
     good = [row for row in rows if row.code == 0 and row.error + certainty <= error]
     if not good:
-        best = min((row.error for row in rows if row.code == 0), default=np.nan)
+        best = min((row.error for row in rows if row.code == 0), default=np.inf)
         raise FieldError(
             "recommend.error",
             error,

@@ -30,7 +30,8 @@ class Steps(NamedTuple):
             behind.
         count: How many there are.
         sense: 1, or -1 where the run went backwards in time.
-        outputs: Times of outputs [s], in order, shape (T,).
+        outputs: Times of outputs [s], in order, shape (T,); of those at one time only
+            the last is shown.
         jumps: Times of jumps [s] before which steps end, behind which they begin; None
             for none.
         kept: States where every 16th step began, the first included, shape (m, n).
@@ -66,6 +67,18 @@ class Steps(NamedTuple):
         _, end, following = self.span(i)
         lies = (end <= time) & (time <= following)
         return lies & (output >= 0) & (output <= last) & (i < self.count)
+
+    def last_of(self, output: Array) -> Array:
+        """Of outputs at one time, the last: only it is shown."""
+        return self._among(output, "right") - 1
+
+    def before(self, output: Array) -> Array:
+        """The last output at an earlier time."""
+        return self._among(output, "left") - 1
+
+    def _among(self, output: Array, side: str) -> Array:
+        time = self.outputs[jnp.clip(output, 0, self.outputs.shape[0] - 1)]
+        return jnp.searchsorted(self.outputs, time, side=side).astype(int)
 
     @property
     def way(self) -> Way:
@@ -171,13 +184,14 @@ def push(
             i < steps.count, _stepped(field, run.stages(steps, i), state), state
         )
         shows = steps.shows(i, output)
-        at = jnp.minimum(output, shown.shape[0] - 1)
+        at = steps.last_of(output)
         put = lambda shown: shown.at[at].set(jnp.where(shows, state[1], shown[at]))
-        return output + jnp.where(shows, 1, 0), state, _if_any(shows, put, shown)
+        return jnp.where(shows, at + 1, output), state, _if_any(shows, put, shown)
 
     size = steps.outputs.shape[0], *state[1].shape
     shown = jnp.full(size, jnp.nan, state[1].dtype).at[0].set(state[1])
-    _, state, shown = _counted(steps.turns, one, (jnp.asarray(1), state, shown))
+    first = steps.last_of(jnp.asarray(0)) + 1
+    _, state, shown = _counted(steps.turns, one, (first, state, shown))
     return shown, state[1]
 
 
@@ -301,7 +315,7 @@ def _pulled(run: Run, steps: Steps, asked: Array, asked_last: Array) -> tuple[An
             own = jax.tree.map(jnp.add, moved, own)
             taken = first + j < steps.count
             back, moved = _where(taken, (before, own), (back, moved))
-            return output - jnp.where(shows, 1, 0), back, moved
+            return jnp.where(shows, steps.before(output), output), back, moved
 
         return _counted(here, one, carry)
 

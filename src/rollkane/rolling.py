@@ -7,12 +7,13 @@ alpha'', on body axes, about the contact point (theory, section 4.1).
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .contact import Contact, flight, rolling_contact
+from .contact import Contact, body_to_base, flight, rolling_contact
 from .contact_laws import Solution, accelerations, momentum_rate
 from .coordinates import FlyingState, SlidingState, State
 from .mass_matrix import assemble
+from .rotations import rotation_matrix
 from .scene import RubberRolling, Scene
-from .small_linear import dot, matvec
+from .small_linear import dot, matvec, matvec_transposed
 from .voronets import AnyState, VoronetsState, chart_contact
 
 # a run towards Painleve's paradox ends just before it, with the normal force growing
@@ -52,6 +53,42 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
         state.slip if isinstance(state, SlidingState) else None,
         without_spin=isinstance(scene.contact, RubberRolling),
     )
+
+
+def watches_headings(scene: Scene) -> bool:
+    """Whether a normal of a surface could pass where its inverse Gauss map jumps."""
+    return any(function is not None for function in _headings(scene))
+
+
+def _headings(scene: Scene) -> tuple:
+    """Of the body's normal and of the base's, what must not be reversed by a step."""
+    body, base = scene.body.surface, scene.base.surface
+    return body.normal_heading(base.is_flat), base.normal_heading(False)
+
+
+def headings(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> list[Float[Array, "2"]]:
+    """Parts of the normals that no step may reverse, for a scene that watches them.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: In contact.
+    """
+    of_body, of_base = _headings(scene)
+    body, base = scene.body.surface, scene.base.surface
+    if isinstance(state, VoronetsState):
+        out = base.chart_geometry(state.contact_on_base).normal
+        own = body.chart_geometry(state.contact_on_body).normal
+    else:
+        motion = scene.base.motion
+        moving = None if motion is None else motion.at(t)
+        to_base = body_to_base(rotation_matrix(state.orientation), moving)
+        out = base.geometry(state.contact_on_base).normal
+        own = -matvec_transposed(to_base, out)
+    both = (of_body, own), (of_base, out)
+    return [part(normal) for part, normal in both if part is not None]
 
 
 def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:

@@ -1,5 +1,6 @@
 """What integrating a rolling scene asks of it, whichever loop does it."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -7,10 +8,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .rolling import LEAST_MARGIN, painleve_margin
+from .codes import Code, is_stuck
+from .rolling import (
+    LEAST_MARGIN,
+    contact_of,
+    headings,
+    painleve_margin,
+    watches_headings,
+)
 from .scene import Scene, Slipping
 from .small_linear import norm
-from .trajectory import Code
+from .voronets import CHART_EDGE, ChartContact, VoronetsState
+
+# A run that ends at the end of a surface is as close to it as the clock's steps tell
+# [s], and the normal of a disc that lies down is this close to that of its face [rad].
+_AT_AN_EDGE, _FLAT = 1e-9, 1e-6
 
 
 def corners(scene: Scene) -> tuple[Any, bool]:
@@ -32,6 +44,12 @@ def error_sizes(state: Any) -> Any:
     return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
 
 
+def unbroken(scene: Scene, state: Any) -> Callable | None:
+    """What no step may reverse (:func:`rollkane.rolling.headings`); None: nothing."""
+    del state
+    return headings if watches_headings(scene) else None
+
+
 def has_margin(scene: Scene) -> bool:
     """Whether something is proportional to the normal force."""
     law = scene.contact
@@ -39,9 +57,65 @@ def has_margin(scene: Scene) -> bool:
     return slips or any(load.needs_normal_force for load in scene.loads)
 
 
+def explains_ends(scene: Scene, state: Any) -> bool:
+    """Whether a run that got stuck may have a reason that the scene tells."""
+    in_charts = isinstance(state, VoronetsState)
+    return in_charts or has_margin(scene) or has_edges(scene)
+
+
+def has_edges(scene: Scene) -> bool:
+    """Whether a contact may come to the end of a surface."""
+    surfaces = scene.body.surface, scene.base.surface
+    ends = any(_ends(surface) for surface in surfaces)
+    return ends or watches_headings(scene)
+
+
+def _ends(surface: Any) -> bool:
+    like = jax.ShapeDtypeStruct((surface.coordinate_count,), float)
+    return jax.eval_shape(surface.extent, like) is not None
+
+
 @jax.jit
-def code_by_margin(code: Array, scene: Scene, t: Array, state) -> Array:
-    """The code, PAINLEVE where a step was too small for want of a normal force."""
-    margin = painleve_margin(scene, t, state)
-    stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
-    return jnp.where(stopped & (margin < LEAST_MARGIN), Code.PAINLEVE, code)
+def explained(code: Array, scene: Scene, t: Array, state: Any) -> Array:
+    """The code of a run, where it got stuck by what stopped it.
+
+    Args:
+        code: One of :class:`rollkane.Code`.
+        scene: What rolls on what.
+        t: Time that was reached [s].
+        state: State that was reached.
+    """
+    stuck = is_stuck(code)
+    contact = contact_of(scene, t, state)
+    if isinstance(contact, ChartContact):
+        at_chart = contact.regularity < 2.0 * CHART_EDGE
+        code = jnp.where(stuck & at_chart, Code.CHART_EDGE, code)
+    if has_edges(scene):
+        at_end = stuck & at_an_edge(scene, t, state)
+        code = jnp.where(at_end, Code.SURFACE_EDGE, code)
+    if has_margin(scene):
+        jams = painleve_margin(scene, t, state) < LEAST_MARGIN
+        code = jnp.where(stuck & jams, Code.PAINLEVE, code)
+    return code
+
+
+def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
+    """Whether a contact has come to the end of a surface."""
+    body, base = scene.body.surface, scene.base.surface
+    in_charts = isinstance(state, VoronetsState)
+    of = lambda surface: surface.chart_extent if in_charts else surface.extent
+    contact = contact_of(scene, t, state)
+    places = [(of(base), state.contact_on_base, contact.base_rates)]
+    if scene.carries_point or in_charts:
+        places.append((of(body), state.contact_on_body, contact.body_rates))
+    found = jnp.asarray(False)
+    for extent, u, rates in places:
+        if extent(u) is None:
+            continue
+        left, rate = jax.jvp(extent, (u,), (rates,))
+        soon = left <= -rate * _AT_AN_EDGE * (1.0 + jnp.abs(t))
+        found |= soon | (left <= 0.0)
+    if watches_headings(scene):
+        for vector in headings(scene, t, state):
+            found |= norm(vector) < _FLAT
+    return found

@@ -1,5 +1,7 @@
 """Integrate a scene in time: from a state to a trajectory."""
 
+import functools
+from collections.abc import Callable
 from typing import Any
 
 import diffrax as dfx
@@ -9,30 +11,44 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .checks import FieldError, is_traced
+from .checks import FieldError, flag, is_traced
+from .clearance import code_of_touch, is_apart, may_touch_twice
+from .codes import NO_FAULT, is_stuck
+from .consistency import consistent
 from .coordinates import FlyingState, SlidingState, State, pack
 from .euler_lagrange import euler_lagrange_derivative
 from .hybrid import integrate_modes
 from .integration import (
     Outcome,
     Problem,
+    check_steps,
     checked_times,
     default_solver,
     integrate,
     tolerances,
     warn_single_precision,
+    warn_without_compiler,
 )
+from .keeping import KeepingEnergy, check_keeps_energy
 from .modes import Modes, of
 from .native import NoCompilerError
 from .numberwise import NotElementwiseError
-from .rolling import contact_of, rolling_derivative
-from .rolling_run import code_by_margin, corners, error_sizes, has_margin
+from .rolling import rolling_derivative
+from .rolling_run import (
+    corners,
+    error_sizes,
+    explained,
+    explains_ends,
+    has_margin,
+    unbroken,
+)
 from .scene import Rolling, Scene, Slipping, under
 from .solving import UNRECORDED_STEPS
 from .state_conversion import to_pole_free, to_voronets
+from .steps import stops_of
 from .tableau import PLAIN, is_plain
-from .trajectory import Code, Trajectory
-from .voronets import CHART_EDGE, AnyState, ChartContact, VoronetsState
+from .trajectory import Trajectory
+from .voronets import AnyState, VoronetsState
 
 _COORDINATES = ("pole-free", "voronets")
 _METHODS = ("diffrax", "native")
@@ -56,6 +72,7 @@ def simulate(
     max_steps: int | None = None,
     progress_meter: dfx.AbstractProgressMeter | None = None,
     method: str = "diffrax",
+    second_contact: bool = False,
 ) -> Trajectory:
     """Motion of a scene from a start, at the asked times.
 
@@ -94,10 +111,19 @@ def simulate(
             of :func:`rollkane.ensemble`, on a CPU, a fraction of the time and of the
             wait for the first result; ``solver`` is one of Bosh3, Tsit5, Dopri5 and
             Dopri8, the rates are arithmetic, and ``modes``, ``stepsize_controller``,
-            ``adjoint``, ``saveat`` and ``progress_meter`` cannot be chosen.
+            ``adjoint``, ``saveat`` and ``progress_meter`` cannot be chosen. Where there
+            is no C compiler, or it fails, ``"diffrax"`` takes its place, with a warning
+            once.
+        second_contact: Whether the run ends, with ``Code.SECOND_CONTACT``, where the
+            body reaches its base at a second place. That is looked for after each step,
+            on samples of both surfaces (:mod:`rollkane.clearance`), by diffrax's loop:
+            a tenth to a few milliseconds a step.
 
     Returns:
         The trajectory.
+
+    Warns:
+        RuntimeWarning: ``method="native"`` without a C compiler that works, once.
 
     Raises:
         FieldError: times that are not increasing, tolerances out of range, unknown
@@ -114,15 +140,19 @@ def simulate(
         "dt0": dt0 is not None,
         "progress_meter": progress_meter is not None,
     }
+    if isinstance(solver, KeepingEnergy):
+        check_keeps_energy("simulate.scene", scene)
+    looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
     if method == "native":
         unknown = "stepsize_controller", "adjoint", "saveat", "progress_meter"
         given = {name: options[name] for name in unknown}
-        _refuse("method", given | {"modes": modes is not None})
+        given |= {"modes": modes is not None, "second_contact": looks}
+        _refuse("method", given)
         _check_native(solver)
     if modes is not None:
         _refuse("modes", options)
         return _simulate_modes(
-            scene, start, times, modes, rtol, atol, solver, max_steps
+            scene, start, times, modes, rtol, atol, solver, max_steps, looks
         )
     check_start(scene, start)
     dtype = start.angular_velocity.dtype
@@ -130,35 +160,50 @@ def simulate(
     times = checked_times(times, dtype)
     check_span(scene, times)
     start = _in_coordinates(coordinates, scene, start, times[0])
-    try:
-        outcome = integrate(
-            _PROBLEMS[formulation],
-            scene,
-            start,
-            times,
-            rtol=rtol,
-            atol=atol,
-            solver=solver,
-            stepsize_controller=stepsize_controller,
-            adjoint=adjoint,
-            saveat=saveat,
-            dt0=dt0,
-            max_steps=max_steps,
-            progress_meter=progress_meter,
-            native=method == "native",
-        )
-    except (NotElementwiseError, NoCompilerError) as error:
-        raise NotNativeError(f"cannot do this: {error}") from error
+    run = functools.partial(
+        integrate,
+        *(_PROBLEMS[formulation], scene, start, times),
+        rtol=rtol,
+        atol=atol,
+        solver=solver,
+        stepsize_controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=saveat,
+        dt0=dt0,
+        max_steps=max_steps,
+        progress_meter=progress_meter,
+        allowed=is_apart if looks else None,
+    )
+    outcome = run_natively(run) if method == "native" else run(native=False)
     return Trajectory(
         time=outcome.time,
         state=outcome.state,
         scene=scene,
-        code=_code_at(outcome, scene),
+        code=_code_at(outcome, scene, looks),
         final_time=outcome.final_time,
         final_state=outcome.final_state,
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
+        fault=outcome.fault,
     )
+
+
+def run_natively(run: Callable) -> Any:
+    """A run by the loop in C; by diffrax where no compiler serves, with a warning.
+
+    Args:
+        run: ``run(native=...)``.
+
+    Raises:
+        NotNativeError: the rates are more than arithmetic.
+    """
+    try:
+        return run(native=True)
+    except NotElementwiseError as error:
+        raise NotNativeError(f"cannot do this: {error}") from error
+    except NoCompilerError as error:
+        warn_without_compiler(error)
+    return run(native=False)
 
 
 def _refuse(having: str, given: dict[str, bool]) -> None:
@@ -189,7 +234,7 @@ def _check_native(solver: dfx.AbstractSolver | None) -> None:
 
 
 def _simulate_modes(
-    scene: Scene, start, times, modes: Modes, rtol, atol, solver, max_steps
+    scene: Scene, start, times, modes: Modes, rtol, atol, solver, max_steps, looks
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
     if not isinstance(modes, Modes):
@@ -212,6 +257,7 @@ def _simulate_modes(
     check_span(scene, times)
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
+    check_steps(max_steps, None)
     law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
     rolls = lambda x: isinstance(x, Rolling)
     modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
@@ -220,11 +266,13 @@ def _simulate_modes(
         scene,
         start,
         jnp.asarray(times),
+        stops_of(times, 100.0 * float(np.finfo(times.dtype).eps)),
         jnp.asarray(rtol, dtype),
         jnp.asarray(atol, dtype),
         jnp.asarray(by_size),
         default_solver(rtol) if solver is None else solver,
         UNRECORDED_STEPS if max_steps is None else max_steps,
+        looks,
     )
     return Trajectory(
         time=jnp.asarray(times),
@@ -236,14 +284,20 @@ def _simulate_modes(
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
+        fault=outcome.fault,
     )
 
 
 @eqx.filter_jit
-def _run_modes(scene, start, times, rtol, atol, by_size, solver, max_steps):
+def _run_modes(
+    scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks
+):
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
-    return integrate_modes(scene, start, times, rtol, atol, solver, max_steps, corners)
+    allowed = is_apart if looks else None
+    return integrate_modes(
+        *(scene, start, times, stops, rtol, atol, solver, max_steps, corners, allowed)
+    )
 
 
 def _spin(state: AnyState) -> Float[Array, "3"]:
@@ -251,7 +305,7 @@ def _spin(state: AnyState) -> Float[Array, "3"]:
 
 
 _PROBLEMS = {
-    name: Problem(derivative, _spin, error_sizes, corners)
+    name: Problem(derivative, _spin, error_sizes, corners, consistent, unbroken)
     for name, derivative in {
         "rolling": rolling_derivative,
         "euler_lagrange": euler_lagrange_derivative,
@@ -259,23 +313,17 @@ _PROBLEMS = {
 }
 
 
-def _code_at(outcome: Outcome, scene: Scene) -> Array:
-    """The code, once it is seen what a small step was: a chart's edge, Painleve."""
-    state = outcome.final_state
-    if isinstance(state, VoronetsState):
-        return _code_in_charts(outcome.code, scene, outcome.final_time, state)
-    if has_margin(scene):
-        return code_by_margin(outcome.code, scene, outcome.final_time, state)
-    return outcome.code
-
-
-@jax.jit
-def _code_in_charts(code: Array, scene: Scene, t: Array, state) -> Array:
-    contact = contact_of(scene, t, state)
-    assert isinstance(contact, ChartContact)
-    stopped = (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
-    at_edge = stopped & (contact.regularity < 2.0 * CHART_EDGE)
-    return jnp.where(at_edge, Code.CHART_EDGE, code)
+def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
+    """The code, once it is seen what a small step was."""
+    code, t, state = outcome.code, outcome.final_time, outcome.final_state
+    if not is_traced(code) and not bool(is_stuck(code)):
+        return code  # nothing to explain, and nothing to compile
+    bad = outcome.fault != NO_FAULT
+    if explains_ends(scene, state):
+        code = jnp.where(bad, code, explained(code, scene, t, state))
+    if looks:
+        code = jnp.where(bad, code, code_of_touch(code, scene, t, state))
+    return code
 
 
 def _check_names(formulation: str, coordinates: str, method: str) -> None:

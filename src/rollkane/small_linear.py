@@ -90,6 +90,31 @@ def solve_2x2(
     return jnp.stack([(d * x - b * y) * scale, (a * y - c * x) * scale])
 
 
+def solve_4x4(
+    matrix: Float[Array, "4 4 *B"], rhs: Float[Array, "4 *B"]
+) -> Float[Array, "4 *B"]:
+    """Solve a general 4x4 system by minors: divided is by the determinant alone."""
+    columns = [components(c) for c in components(jnp.swapaxes(matrix, 0, 1))]
+    columns.append(components(rhs))
+    places = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    signs = [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]
+
+    def minors(a, b):
+        """Of two columns, by pairs of rows in order."""
+        a, b = columns[a], columns[b]
+        return [a[i] * b[j] - a[j] * b[i] for i, j in places]
+
+    def determinant(a, b, c, d):
+        """Of four columns, by Laplace's expansion along the first two."""
+        others = reversed(minors(c, d))
+        terms = [s * x * y for s, x, y in zip(signs, minors(a, b), others, strict=True)]
+        return sum(terms[1:], terms[0])
+
+    scale = 1.0 / determinant(0, 1, 2, 3)
+    solved = [determinant(*(4 if k == m else k for k in range(4))) for m in range(4)]
+    return jnp.stack([x * scale for x in solved])
+
+
 def solve_spd(
     matrix: list[list[Float[Array, "*B"]]], rhs: list[Float[Array, "*B"]]
 ) -> list[Float[Array, "*B"]]:

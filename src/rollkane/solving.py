@@ -1,6 +1,9 @@
 """One solve: by diffrax, or by the loop in C; adaptive, or along recorded steps."""
 
-from collections.abc import Callable
+import functools
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, NamedTuple, cast
 
 import diffrax as dfx
@@ -9,12 +12,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .checks import is_traced
+from .codes import Code
 from .coordinates import unpack
 from .native import Course, RunLoop
 from .replay import STEPS_BETWEEN
-from .steps import Landings, LandOn, ReplaySteps, first_step, landings
+from .steps import Landings, LandOn, ReplaySteps, first_step, landings, refusing
 from .tableau import is_plain, weights_of
-from .trajectory import Code
 
 # Steps that a derivative can follow: the record takes 13 bytes a step.
 _RECORDED_STEPS = 2**16
@@ -32,12 +36,19 @@ class Problem(NamedTuple):
             as a state.
         corners: ``corners(model)`` -> times at which the right-hand side has a corner
             [s], or None, and whether it may jump there.
+        consistent: ``consistent(model, t, state)`` -> the state as the constraints
+            allow it.
+        unbroken: ``unbroken(model, like)`` -> ``vectors(model, t, state)``, a list of
+            plane vectors none of which a step may reverse; None: every step may stand.
+            ``like`` has the shapes of a state.
     """
 
     derivative: Callable
     quickness: Callable
     sizes: Callable
     corners: Callable
+    consistent: Callable = lambda model, t, state: state
+    unbroken: Callable = lambda model, like: None
 
 
 class Plan(NamedTuple):
@@ -53,6 +64,8 @@ class Plan(NamedTuple):
         progress_meter: diffrax progress meter.
         zeros: For the loop in C, which numbers of the model are zero; None: for
             diffrax.
+        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
+            anywhere.
     """
 
     problem: Problem
@@ -63,6 +76,7 @@ class Plan(NamedTuple):
     max_steps: int | None
     progress_meter: dfx.AbstractProgressMeter
     zeros: tuple[bytes, ...] | None
+    allowed: Callable | None = None
 
 
 class Solution(eqx.Module):
@@ -75,6 +89,17 @@ class Solution(eqx.Module):
     code: Array
     steps: Array
     rejected_steps: Array
+
+    @property
+    def unknown(self) -> "Solution":
+        """What of it has no derivative: what was not reached, and where a run stopped.
+
+        A run that stops of itself does so at a time that depends on everything.
+        """
+        lost = jax.tree.map(lambda x: x != x, self)
+        stopped = self.code != Code.COMPLETED
+        where = lambda s: (s.final_time, s.final_y)
+        return eqx.tree_at(where, lost, replace_fn=lambda x: x | stopped)
 
 
 def solve(plan: Plan, rates: Callable, like: Any, inputs: tuple, replay: Any, adjoint):
@@ -99,7 +124,7 @@ def solve(plan: Plan, rates: Callable, like: Any, inputs: tuple, replay: Any, ad
 
 
 def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
-    model, y0, times, rtol, atol, _ = inputs
+    model, y0, times, rtol, atol, *_ = inputs
     t0, t1 = times[0], times[-1]
     dt0 = _first_step(plan, like, inputs)
     dt0 = jnp.where(t1 < t0, -dt0, dt0)
@@ -111,6 +136,9 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
         controller = plan.controller or _landing(model, times, rtol, atol, plan)
         if isinstance(controller, dfx.StepTo):
             dt0 = None  # it has its own first step, and refuses another
+        holds = _holds(plan, model, like)
+        if holds is not None:
+            controller = refusing(controller, holds)
     wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
     subs = [wanted, dfx.SubSaveAt(t1=True)]
     recording = replay is None and adjoint is not None and plan.adjoint is None
@@ -124,21 +152,17 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
         max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
-    solution = dfx.diffeqsolve(
-        dfx.ODETerm(rates),
-        plan.solver,
-        t0,
-        t1,
-        dt0,
-        y0,
-        model,
-        saveat=dfx.SaveAt(subs=subs),
-        stepsize_controller=controller,
-        adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
-        max_steps=max_steps,
-        throw=False,
-        progress_meter=plan.progress_meter,
-    )
+    solve = functools.partial(dfx.diffeqsolve, dfx.ODETerm(rates), plan.solver)
+    with _checked_before(plan):
+        solution = solve(
+            *(t0, t1, dt0, y0, model),
+            saveat=dfx.SaveAt(subs=subs),
+            stepsize_controller=controller,
+            adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
+            max_steps=max_steps,
+            throw=False,
+            progress_meter=plan.progress_meter,
+        )
     time, final_time, *_ = cast(list, solution.ts)
     y, final_y, *recorded = cast(list, solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
@@ -156,9 +180,67 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
     return outcome, record
 
 
+def _holds(plan: Plan, model: Any, like: Any) -> Callable | None:
+    """Whether a step may stand, from its ends; None: every one may."""
+    vectors, allowed = plan.problem.unbroken(model, like), plan.allowed
+    if vectors is None and allowed is None:
+        return None
+
+    def holds(model, t0, y0, t1, y1):
+        first, last = unpack(y0, like), unpack(y1, like)
+        stands = jnp.asarray(True)
+        if vectors is not None:
+            ends = vectors(model, t0, first), vectors(model, t1, last)
+            for a, b in zip(*ends, strict=True):
+                stands &= a[0] * b[0] + a[1] * b[1] > 0.0
+        if allowed is not None:
+            stands &= allowed(model, t1, last)
+        return stands
+
+    return holds
+
+
+_TRACING = threading.RLock()
+
+
+class _WithoutCallbacks:
+    """equinox's internal functions, but that traced checks leave no host callback."""
+
+    def __init__(self, checked: Any):
+        self._checked = checked
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._checked, name)
+
+    def error_if(self, x, pred, message):
+        """The value; refused at once where it is known to be bad."""
+        return x if is_traced(x, pred) else self._checked.error_if(x, pred, message)
+
+
+@contextmanager
+def _checked_before(plan: Plan) -> Iterator[None]:
+    """Trace diffrax without its checks of times and first step, which are made here.
+
+    It has no way to leave them out, and as callbacks to the host they would keep
+    programs out of the persistent compilation cache. A ``SaveAt`` of the user's keeps
+    them.
+    """
+    module: Any = getattr(dfx, "_integrate", None)
+    if plan.saveat is not None or not hasattr(module, "eqxi"):
+        yield
+        return
+    with _TRACING:
+        checked = module.eqxi
+        module.eqxi = _WithoutCallbacks(checked)
+        try:
+            yield
+        finally:
+            module.eqxi = checked
+
+
 def _first_step(plan: Plan, like, inputs) -> Array:
     """Length of the first step [s]."""
-    _, y0, times, _, _, dt0 = inputs
+    _, y0, times, _, _, dt0, *_ = inputs
     if dt0 is not None:
         return dt0
     span = times[-1] - times[0]
@@ -167,7 +249,7 @@ def _first_step(plan: Plan, like, inputs) -> Array:
 
 
 def _natively(plan: Plan, rates, like, inputs, recording: bool):
-    model, y0, times, rtol, atol, _ = inputs
+    model, y0, times, rtol, atol, *_ = inputs
     leaves, tree = jax.tree.flatten(model)
     loop = RunLoop(
         lambda t, y, *leaves: rates(t, y, jax.tree.unflatten(tree, leaves)),
@@ -176,6 +258,7 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
         weights_of(plan.solver, "the loop in C"),
         plan.zeros,
         STEPS_BETWEEN if recording else 0,
+        unbroken_numbers(plan.problem.unbroken, model, like),
     )
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     where = landings_of(model, times, plan)
@@ -207,6 +290,28 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
         return outcome, None
     begun, kept = ended.record
     return outcome, (begun, outcome.steps, kept)
+
+
+def unbroken_numbers(unbroken: Callable, model: Any, like: Any) -> Callable | None:
+    """What no step may reverse, as numbers of packed states.
+
+    Args:
+        unbroken: As in :class:`Problem`.
+        model: Or its shapes.
+        like: Shapes of a state.
+
+    Returns:
+        ``numbers(t, y, *leaves)``: the vectors one behind the other; None: none.
+    """
+    vectors, tree = unbroken(model, like), jax.tree.structure(model)
+    if vectors is None:
+        return None
+
+    def numbers(t, y, *leaves):
+        found = vectors(jax.tree.unflatten(tree, leaves), t, unpack(y, like))
+        return jnp.concatenate(found)
+
+    return numbers
 
 
 def plain(plan: Plan, times: Array) -> bool:

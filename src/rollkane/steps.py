@@ -1,4 +1,4 @@
-"""Step controllers: landing on output times, and replaying recorded steps."""
+"""Step controllers: landing on outputs, refusing steps, replaying recorded ones."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -7,8 +7,10 @@ import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from .checks import is_traced
 from .small_linear import norm
 
 
@@ -27,6 +29,49 @@ class Landings(NamedTuple):
     ends: Float[Array, " n"]
     starts: Float[Array, " n"]
     jumps: Float[Array, " k"] | None
+
+
+class Stops(NamedTuple):
+    """Output times as a run stops on them.
+
+    Attributes:
+        time: Times [s], shape (T,): those closer together than the clock's steps are
+            one, the last of them; those that close to the first are the first.
+        last: Which output is shown at each of them, shape (T,); None: its own.
+    """
+
+    time: Any
+    last: Any
+
+
+def stops_of(times: Any, least: float = 0.0) -> Stops:
+    """Outputs as stops of a run.
+
+    Args:
+        times: Output times [s], increasing or decreasing, shape (T,).
+        least: What a loop tells apart at least [s], where that is coarser than the
+            clock.
+    """
+    traced = is_traced(times)
+    library = jnp if traced else np
+    near = library.maximum(clock_step(times, library), times.dtype.type(least))
+    close = library.abs(library.diff(times)) <= near
+    if not traced and not close.any():
+        return Stops(times, None)
+    count = times.shape[0]
+    index = library.arange(count)
+    own = library.where(library.append(close, False), count, index)
+    if traced:
+        last = jax.lax.cummin(jnp.asarray(own), reverse=True)
+    else:
+        last = np.minimum.accumulate(own[::-1])[::-1]
+    last = library.where(last == last[0], 0, last)  # no step leads from the start there
+    return Stops(times[last], last)
+
+
+def clock_step(times: Any, library: Any = jnp) -> Any:
+    """Below this, times are not told apart by steps [s]: a hundred roundings."""
+    return 100 * np.finfo(times.dtype).eps * library.max(library.abs(times))
 
 
 class LandOn(dfx.AbstractAdaptiveStepSizeController):
@@ -72,8 +117,15 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController):
             terms, t0, t1, y0, dt0, args, func, error_order
         )
         wanted = t_next - t0
-        first = self._towards(self.landings.ends[0], t0, wanted)
-        return first, (inner, jnp.asarray(0), wanted)
+        index = self._next(t0)
+        first = self._towards(self.landings.ends[index], t0, wanted)
+        return first, (inner, index, wanted)
+
+    def _next(self, t):
+        """The first end behind a time."""
+        ends = self.landings.ends
+        behind = jnp.searchsorted(ends, t, side="right")
+        return jnp.minimum(behind, ends.shape[0] - 1).astype(int)
 
     def _towards(self, goal, t, dt):
         left = goal - t
@@ -96,7 +148,7 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController):
         if jumps is not None:
             next_t0 = jnp.where(landed, starts[index], next_t0)
             jump = jump | (landed & (starts[index] > ends[index]))
-        index = jnp.where(landed, jnp.minimum(index + 1, ends.shape[0] - 1), index)
+        index = jnp.where(landed, self._next(t1), index)
         t_end = self._towards(ends[index], next_t0, dt)
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 
@@ -107,7 +159,7 @@ def landings(
     """Output times after the first, with the kinks between them, in order.
 
     Args:
-        times: Output times [s], increasing or decreasing.
+        times: Of :class:`Stops` [s], increasing or decreasing.
         kinks: Times at which the right-hand side has a corner [s]; None: none.
         jump: Whether it may jump there.
 
@@ -120,7 +172,7 @@ def landings(
     outputs = times * sign
     kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
     # closer together than this, two landings would ask for a step without length
-    near = 100 * jnp.finfo(times.dtype).eps * jnp.max(jnp.abs(outputs))
+    near = clock_step(times)
     between = (kinks > outputs[0]) & (kinks < outputs[-1])
     added = jnp.where(between & (_distance(kinks, outputs) > near), kinks, jnp.inf)
     ends = jnp.sort(jnp.concatenate([outputs[1:], added]))
@@ -141,6 +193,84 @@ def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, "
     after = jnp.clip(jnp.searchsorted(grid, x), 1, max(grid.shape[0] - 1, 1))
     nearest = jnp.minimum(jnp.abs(grid[after] - x), jnp.abs(grid[after - 1] - x))
     return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
+
+
+class _Refusing(eqx.Module):
+    """A controller of which some steps are refused: tried again, shorter.
+
+    Where even the shortest is refused, or the controller cannot shorten it, the run
+    ends.
+
+    Attributes:
+        controller: Any.
+        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand; the model
+            is what diffrax calls args.
+        sense: Direction of time in which diffrax works.
+    """
+
+    controller: dfx.AbstractStepSizeController
+    holds: Callable = eqx.field(static=True)
+    sense: Any = 1.0
+
+    def wrap(self, direction):
+        """The controller for the direction of time in which diffrax works."""
+        parts = self.controller.wrap(direction), direction
+        return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """As the controller."""
+        return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """As the controller, to which a refused step has a large error."""
+        holds = self.holds(args, t0 * self.sense, y0, t1 * self.sense, y1_candidate)
+        if y_error is not None:
+            y_error = jnp.where(holds, y_error, jnp.asarray(jnp.inf, y_error.dtype))
+        keep, next_t0, *following, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        )
+        stuck = keep & ~holds
+        # the run ends where its state is, not at the end of what was refused
+        next_t0 = jnp.where(stuck, t0, next_t0)
+        result = dfx.RESULTS.where(stuck, dfx.RESULTS.dt_min_reached, result)
+        return keep & holds, next_t0, *following, result
+
+
+class _RefusingFixed(_Refusing, dfx.AbstractStepSizeController):
+    pass
+
+
+class _RefusingAdaptive(_Refusing, dfx.AbstractAdaptiveStepSizeController):
+    """With the controller's tolerances, to which implicit methods solve."""
+
+    @property
+    def rtol(self):
+        return self.controller.rtol  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def atol(self):
+        return self.controller.atol  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def norm(self):
+        return self.controller.norm  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def refusing(
+    controller: dfx.AbstractStepSizeController, holds: Callable
+) -> dfx.AbstractStepSizeController:
+    """A controller of which some steps are refused.
+
+    Args:
+        controller: Any.
+        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
+    """
+    if isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
+        # its tolerances are the controller's, which diffrax declares as fields
+        return _RefusingAdaptive(controller, holds)  # pyright: ignore[reportCallIssue]
+    return _RefusingFixed(controller, holds)
 
 
 class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):

@@ -19,9 +19,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import FieldError
+from .codes import Code, reason_of
 from .coordinates import State
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
+from .native import NoCompilerError, check_usable
 from .observables import energy, kept_energy, moving_energy
 from .one_call import for_one_call
 from .rolling import contact_of
@@ -30,7 +32,7 @@ from .scene import Scene
 from .simulation import simulate
 from .small_linear import norm
 from .tableau import weights_of
-from .trajectory import Code, Trajectory, reason_of
+from .trajectory import Trajectory
 
 PRECISIONS = {"double": jnp.float64, "single": jnp.float32}
 # below these a precision only adds rounding
@@ -172,8 +174,19 @@ def unfit(setting: Setting) -> str:
         least = _LEAST_TOLERANCE[setting.precision]
         if setting.rtol < 0.99 * least:
             return f"tolerances below {least:.0e} only add rounding"
-    if setting.method == "native" and setting.steps is not None:
-        return "the native loop has no fixed steps"
+    if setting.method == "native":
+        if setting.steps is not None:
+            return "the native loop has no fixed steps"
+        return without_native()
+    return ""
+
+
+def without_native() -> str:
+    """Why there is no native loop on this machine; "" if there is."""
+    try:
+        check_usable()
+    except NoCompilerError as error:
+        return str(error)
     return ""
 
 
@@ -196,7 +209,7 @@ class Reference(NamedTuple):
 
 def reference_of(task: Task) -> Reference:
     """The finest runs: in extended precision, or by two methods in double."""
-    method = "native"
+    method = "diffrax" if without_native() else "native"
     try:
         coarse = _run(task, Setting("Dopri5", _COARSE, None, method))
     except FieldError:

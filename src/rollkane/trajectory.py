@@ -9,52 +9,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from . import observables
+from .codes import NO_FAULT, Code, Fields
 from .coordinates import FlyingState, State
-from .modes import Mode, ModedState, Switches, by_mode
+from .diagnosis import first_not_finite
+from .modes import Mode, ModedState, Switches, by_mode, in_modes
 from .rolling import contact_force, contact_of, rolling_derivative
 from .rotations import in_one_sense, quaternion_of
 from .scene import Scene, Slipping
 from .small_linear import matvec, norm
 from .voronets import AnyState
-
-
-class Code:
-    """Why a run ended: values of ``Trajectory.code``."""
-
-    COMPLETED = 0
-    MAX_STEPS = 1
-    STEP_TOO_SMALL = 2
-    BAD_START = 3
-    STOPPED = 4
-    CHART_EDGE = 5
-    PAINLEVE = 6
-    TOO_MANY_SWITCHES = 7
-
-
-_REASONS = {
-    Code.COMPLETED: "completed",
-    Code.MAX_STEPS: "the largest number of steps was reached: raise max_steps, or "
-    "loosen rtol",
-    Code.STEP_TOO_SMALL: "the step became too small for the clock: the motion reached "
-    "a singular place (a tip, an edge of a chart, surfaces that fit each other) or a "
-    "function of yours gave NaN there; look at final_time and final_state",
-    Code.BAD_START: "the start cannot be used: a number in it, in the scene or in the "
-    "times, or its first rates, are not finite, or the times are not in order",
-    Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
-    'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
-    "or with another chart",
-    Code.PAINLEVE: "no normal force fits the friction here (Painleve's paradox): the "
-    "body jams or jumps, which this contact law does not have; lower the friction, or "
-    "look at final_state with rollkane.rolling.painleve_margin",
-    Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
-    "keeps: raise it, or rest_speed if the body comes to rest by ever smaller rebounds",
-    Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
-}
-
-
-def reason_of(code: Int[Array, ""]) -> str:
-    """What a code says, and what to do about it."""
-    return _REASONS[int(code)]
 
 
 class Trajectory(eqx.Module):
@@ -71,6 +34,8 @@ class Trajectory(eqx.Module):
         steps: Accepted steps.
         rejected_steps: Rejected steps.
         switches: Changes between rolling, slipping and flight; None in a run without.
+        fault: Which number of the scene, the start or the times cannot be used, as
+            ``reason`` names it; -1: none.
     """
 
     time: Float[Array, " T"]
@@ -82,6 +47,7 @@ class Trajectory(eqx.Module):
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
     switches: Switches | None = None
+    fault: Int[Array, ""] | int = NO_FAULT
 
     def each(self, observable: Callable[[Scene, Array, Any], Any]) -> Any:
         """An observable of one state, at every time of every lane.
@@ -110,8 +76,17 @@ class Trajectory(eqx.Module):
 
     @property
     def reason(self) -> str:
-        """Why a single run ended, and what to do about it."""
-        return reason_of(self.code)
+        """Why a single run ended, and what to do about it.
+
+        Where a number cannot be used it names the field; where the first rates are not
+        finite, what gives them.
+        """
+        start, scene = self.final_state, self.scene
+        if isinstance(start, ModedState):
+            start, scene = start.parts, in_modes(scene).rolling
+        if int(self.code) == Code.BAD_START and int(self.fault) == NO_FAULT:
+            return first_not_finite(scene, self.final_time, start)
+        return Fields.of(self.scene, start).reason(self.code, self.fault)
 
     @property
     def position(self) -> Float[Array, "T 3"]:

@@ -104,7 +104,7 @@ class UserFunction(eqx.Module):
     @property
     def __name__(self) -> str:
         """Of the user's function, for errors."""
-        return getattr(self._fixed, "__name__", type(self._fixed).__name__)
+        return _name(self._fixed)
 
     def __call__(self, coordinates: Array) -> Array:
         """Value at coordinates of shape (count,)."""
@@ -188,10 +188,19 @@ class GivenFunction(eqx.Module):
             self._takes_more = True
         self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
 
+    @property
+    def __name__(self) -> str:
+        """Of the user's function, for errors."""
+        return _name(self._fixed)
+
     def __call__(self, *arguments: Any) -> Any:
         """Its value, at arguments of which the last is what it may not want."""
         function = eqx.combine(self._arrays, self._fixed)
         return _value(self._takes_more, function, *arguments)
+
+
+def _name(function: Any) -> str:
+    return getattr(function, "__name__", type(function).__name__)
 
 
 def _value(takes_more: bool, function, *arguments) -> Any:

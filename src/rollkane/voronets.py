@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .base_motion import BaseKinematics
-from .contact import Contact
+from .contact import Contact, within
 from .coordinates import State
 from .geometry import LocalGeometry
 from .small_linear import (
@@ -21,8 +21,9 @@ from .small_linear import (
     matvec,
     matvec_transposed,
     solve_2x2,
+    solve_4x4,
 )
-from .surfaces import AbstractNormalSurface, AbstractSurface
+from .surfaces import AbstractNormalSurface, AbstractSurface, Ring
 
 # Regularity of a chart (1 at its best) below which it has come to its edge: there the
 # rates grow as 1/regularity, and 1e-3 leaves three quarters of the digits.
@@ -101,6 +102,7 @@ class ChartContact(Contact):
         angle_rate: ``theta'`` [rad/s].
         sign: ``s``.
         by_normal: Whether the body is given by its normal: its chart may be an edge.
+        is_wire: Whether the body is a wire, whose normal may stand still, too.
     """
 
     shell: LocalGeometry
@@ -112,6 +114,7 @@ class ChartContact(Contact):
     angle_rate: Float[Array, ""]
     sign: int = eqx.field(static=True)
     by_normal: bool = eqx.field(static=True)
+    is_wire: bool = eqx.field(static=True)
 
     @property
     def regularity(self) -> Float[Array, ""]:
@@ -149,8 +152,8 @@ def chart_contact(
         relative = state.angular_velocity - ABC
     sigma, tau, n = components(relative)
     turning = jnp.stack([tau, -sigma])
-    by_normal = isinstance(body, AbstractNormalSurface)
-    q_dot, qc_dot = _chart_rates(by_normal, shell, ground, s, T, turning)
+    kind = isinstance(body, AbstractNormalSurface), isinstance(body, Ring)
+    q_dot, qc_dot = _chart_rates(*kind, shell, ground, s, T, turning)
     steps = matvec(shell.lengths, q_dot)
     tilt_1, tilt_2 = components(matvec(shell.frame_rates, q_dot))
     gam_q = dot(_spin(shell), q_dot)
@@ -163,8 +166,8 @@ def chart_contact(
         body_point=shell.position,
         base_point=ground.position,
         velocity=matvec(shell.frame[:, :2], steps),
-        body_rates=q_dot,
-        base_rates=qc_dot,
+        body_rates=within(body.chart_extent(q), q_dot),
+        base_rates=within(base.chart_extent(q_c), qc_dot),
         base=moving,
         base_angular_velocity=base_turn,
         slip=None,
@@ -177,7 +180,8 @@ def chart_contact(
         base_turn=ABC,
         angle_rate=s * dot(_spin(ground), qc_dot) - gam_q - n,
         sign=s,
-        by_normal=by_normal,
+        by_normal=kind[0],
+        is_wire=kind[1],
     )
 
 
@@ -225,19 +229,28 @@ def virtual_rates(
     shell, ground, s = contact.shell, contact.ground, contact.sign
     sigma, tau, n = components(turn)
     turning = jnp.stack([tau, -sigma])
-    dq, dqc = _chart_rates(
-        contact.by_normal, shell, ground, s, contact.tangents, turning
-    )
+    kind = contact.by_normal, contact.is_wire
+    dq, dqc = _chart_rates(*kind, shell, ground, s, contact.tangents, turning)
     return dq, dqc, s * dot(_spin(ground), dqc) - dot(_spin(shell), dq) - n
 
 
-def _chart_rates(by_normal, shell, ground, s, T, turning) -> tuple[Array, Array]:
+def _chart_rates(
+    by_normal, is_wire, shell, ground, s, T, turning
+) -> tuple[Array, Array]:
     """Rates of both charts: ``W q' - s T W_c qc' = r`` and ``L q' = T L_c qc'``.
 
-    Divided is by what cannot vanish: the turn of a surface given by its normal (whose
-    edges have no length), the length of any other.
+    Only non-vanishing quantities are divided by: the turn of a surface given by its
+    normal (whose edges have no length), the length of any other; of a wire either may
+    vanish, and all four unknowns are solved for at once.
     """
     own, other = s * matmul(T, ground.frame_rates), matmul(T, ground.lengths)
+    if is_wire:
+        above = jnp.concatenate([shell.frame_rates, -own], axis=1)
+        below = jnp.concatenate([shell.lengths, -other], axis=1)
+        still = jnp.zeros_like(turning)
+        system = jnp.concatenate([above, below])
+        x = solve_4x4(system, jnp.concatenate([turning, still]))
+        return x[:2], x[2:]
     if by_normal:
         kept, solved, still = shell.lengths, shell.frame_rates, own
         tilt = solve_2x2(solved, turning)

@@ -18,6 +18,7 @@ from rollkane.rotations import rotation_matrix
 from rollkane.small_linear import components, cross, matvec_transposed, solve_spd
 
 from .. import problems
+from ..quick import slow_but
 
 BASELINE = Path(__file__).parent / "cost_baseline.json"
 
@@ -175,7 +176,11 @@ def core(scene, t, state):
 
 
 @pytest.mark.parametrize(
-    "name", ["rolling-disc", "rattleback", "implicit-ball", "no-load"]
+    "name",
+    slow_but(
+        ["rolling-disc", "implicit-ball"],
+        ["rolling-disc", "rattleback", "implicit-ball", "no-load"],
+    ),
 )
 def test_a_scene_without_effects_is_the_core_alone(name):
     """Equation by equation: what a scene does not name leaves nothing behind."""

@@ -10,6 +10,7 @@ SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 LADDER = [
     # 0 geometry
     "checks",
+    "codes",
     "one_call",
     "small_linear",
     "numberwise",
@@ -40,17 +41,22 @@ LADDER = [
     "quasi_energy",
     "euler_lagrange",
     # 3 motion
+    "consistency",
+    "clearance",
+    "refused_placements",
     "placement",
     "separation",
     "modes",
     "tableau",
     "native",
     "mode_changes",
+    "root_search",
     "keeping",
     "steps",
     "differentiate",
     "replay",
     "mode_replay",
+    "diagnosis",
     "trajectory",
     "rolling_run",
     "solving",
@@ -65,6 +71,10 @@ LADDER = [
     "timed_runs",
     "precision",
     # 5 outside
+    "accelerogram_lines",
+    "accelerogram_units",
+    "accelerogram_headers",
+    "accelerogram_v2a",
     "accelerograms",
     "whole_file",
     "history",
@@ -80,8 +90,17 @@ LADDER = [
     "cli",
 ]
 INSIDE = {
-    "surfaces": ["kinds", "catalogue", "given", "revolution"],
+    "surfaces": [
+        "directions",
+        "kinds",
+        "edges",
+        "catalogue",
+        "cone",
+        "given",
+        "revolution",
+    ],
     "native": [
+        "cache",
         "compiler",
         "listing",
         "right_hand_side",
@@ -94,6 +113,8 @@ INSIDE = {
     "kane": [
         "system",
         "equations",
+        "affinity",
+        "configuration",
         "refusals",
         "linearization",
         "motion",

@@ -75,6 +75,7 @@ NAMES = {
     "Parametric",
     "Plane",
     "Revolution",
+    "Ring",
     "Rolling",
     "Scene",
     "Sphere",

@@ -88,6 +88,7 @@ def test_the_bicycle_rides(linear):
     np.testing.assert_allclose(touching, 0.0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_matrices_have_derivatives_by_the_trail():
     """The determinant, whose zeros are the capsize speeds, by differences."""
 

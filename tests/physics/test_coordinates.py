@@ -101,6 +101,7 @@ def test_same_motion(name):
         np.testing.assert_allclose(found, exact, atol=SAME * size)
 
 
+@pytest.mark.slow
 def test_both_signs_and_the_paper_formulation_move_alike():
     scene, start = ball_in_sphere()
     times = np.linspace(0.0, 1.0, 3)

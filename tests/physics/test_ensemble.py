@@ -236,7 +236,7 @@ REFUSED = {
     ),
     "block": (
         lambda s, x: rk.ensemble(s, x, TIMES, block=0),
-        "ensemble.block: must be a whole number above zero, got 0",
+        "ensemble.block: must be a whole number of at least 1, got 0",
     ),
     "a tolerance in words": (
         lambda s, x: rk.simulate(s, member(x, 0), TIMES, method="native", rtol="small"),
@@ -250,7 +250,7 @@ REFUSED = {
             method="native",
             solver=rk.keeping_energy(s, member(x, 0), dfx.Tsit5()),
         ),
-        "Keeping is none of Bosh3",
+        "KeepingEnergy is none of Bosh3",
     ),
     "an option of simulate": (
         lambda s, x: rk.simulate(

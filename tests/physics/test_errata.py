@@ -28,12 +28,14 @@ def table():
     return rows
 
 
+@pytest.mark.slow
 def test_printed_forms_fail_and_corrected_ones_hold(found):
     for item, (printed, corrected) in found.items():
         assert printed > FAILS, item
         assert corrected < HOLDS, item
 
 
+@pytest.mark.slow
 def test_the_page_has_these_residuals(found):
     listed = table()
     assert listed.keys() == found.keys()

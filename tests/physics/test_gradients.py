@@ -13,6 +13,7 @@ import pytest
 import rollkane as rk
 
 from .. import problems
+from ..quick import slow_but
 
 
 def x_of_disc(spin, end, rtol=1e-10):
@@ -88,14 +89,8 @@ for f, spin, end in (
 """
 
 
-@pytest.mark.parametrize(
-    "setting",
-    [
-        # what all other tests run with
-        pytest.param(False, id="plain", marks=pytest.mark.slow),
-        pytest.param(True, id="small-loop setting"),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("setting", [False, True], ids=["plain", "small-loop setting"])
 def test_reverse_equals_forward_at_tight_tolerance(setting):
     """To 1e-9 at rtol 1e-12, where a differentiated controller is off by up to 2e-3."""
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
@@ -179,6 +174,7 @@ def test_every_float_of_scene_and_start():
             assert abs(slope - float(a[index])) <= 1e-6 * abs(slope) + scale
 
 
+@pytest.mark.slow
 def test_batches_of_gradients():
     """vmap of grad and of jvp equals the loop, lane by lane."""
     spins = jnp.array([5.0, 6.0, 7.5])
@@ -212,7 +208,7 @@ def test_times_are_differentiated_too():
     np.testing.assert_allclose(back, ahead, atol=1e-12)
 
 
-@pytest.mark.parametrize("method", ["native", "diffrax"])
+@pytest.mark.parametrize("method", slow_but(["native"], ["native", "diffrax"]))
 def test_second_derivatives(method):
     """Forward over forward and forward over reverse; over several recorded states."""
 
@@ -232,6 +228,7 @@ def test_second_derivatives(method):
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_closure_over_a_traced_number():
     """A user's function may close over what is differentiated."""
 

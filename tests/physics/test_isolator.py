@@ -55,6 +55,7 @@ def told(isolator, exact):
     return [np.abs(end - exact).max() for end in ends], steps
 
 
+@pytest.mark.slow
 def test_told_of_the_samples_the_order_is_kept(told):
     """Tsit5 has order 5; the steps are not all alike, which may cost half an order."""
     errors, steps = told

@@ -217,6 +217,7 @@ def discs():
     }
 
 
+@pytest.mark.slow
 def test_three_choices_of_speeds_are_one_disc(discs):
     """5 s, 350 steps of 1e-12, an unstable motion: some 1e-11."""
     plain, *others = (np.asarray(run.q) for run in discs.values())

@@ -50,6 +50,20 @@ def test_random_scenes(case):
         assert (np.abs(twin - core) < AGREE * size).all()
 
 
+@pytest.mark.parametrize(
+    "law", [rk.RubberRolling(), rk.Slipping(rk.ViscousFriction(0.5))]
+)
+def test_other_laws_are_refused(law):
+    """The twin writes down rolling alone; it would be that of another motion."""
+    body = rk.Body(1.0, 0.01 * np.eye(3), rk.Sphere(0.1))
+    rolls = rk.Scene(body)
+    start = rk.place(rolls, (1.0, 0, 0, 0), (0.0, 1.0, 2.0), (0.0, 0.0, 0.0))
+    kane.rolling_system(rolls, start)
+    with pytest.raises(rk.FieldError, match="another law of the contact than Rolling"):
+        kane.rolling_system(rk.Scene(body, contact=law), start)
+
+
+@pytest.mark.slow
 def test_ellipsoid_with_particle_on_a_hill():
     """The same motion for 10 s from equations that were written down by hand.
 

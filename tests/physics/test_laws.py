@@ -8,6 +8,7 @@ import pytest
 import rollkane as rk
 
 from .. import problems
+from ..quick import slow_but
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -52,7 +53,7 @@ BOWLS = {
 }
 
 
-@pytest.mark.parametrize("name", BOWLS)
+@pytest.mark.parametrize("name", slow_but(["ellipsoid", "graph"], BOWLS))
 def test_ball_swings_in_a_bowl(name):
     """w^2 = 5/7 g / (R - r), corrected for the finite angle like a pendulum."""
     surface, bottom = BOWLS[name]

@@ -138,6 +138,7 @@ def test_bounce_in_a_bowl_takes_its_share_of_the_energy():
     np.testing.assert_allclose(run.energy[0] - run.energy[-1], lost, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_pushed_ball_slips_and_grips():
     """A force that grows beyond what friction can pass on, and falls again.
 
@@ -166,6 +167,7 @@ def test_a_pushed_ball_slips_and_grips():
     np.testing.assert_allclose(v, turned, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_upright_disc_slips_and_grips():
     """Thrown along its heading, it stays upright: a balance that nothing disturbs.
 

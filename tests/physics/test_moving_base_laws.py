@@ -158,6 +158,7 @@ def test_shaken_plate():
     assert np.ptp(np.asarray(result.base_position)[:, 0]) > 0.5
 
 
+@pytest.mark.slow
 def test_moving_energy_of_an_unsymmetric_body():
     """E - Omega J_z for an ellipsoid with its mass off centre."""
     body = rk.Body(
@@ -199,6 +200,7 @@ def test_shell_with_a_frictionless_pendulum():
     assert np.ptp(P[:, 0]) > 0.01
 
 
+@pytest.mark.slow
 def test_power_of_a_damped_slider():
     """A slider with spring and damper: the energy falls by exactly what it takes."""
     slider = rk.PointMasses(
@@ -236,6 +238,7 @@ def test_power_of_a_damped_slider():
     assert work < -1e-3
 
 
+@pytest.mark.slow
 def test_a_galilean_glide_changes_nothing():
     """A base that glides steadily moves its body as one at rest does."""
     v = np.array([0.7, -0.4, 0.2])
@@ -319,6 +322,7 @@ def test_a_frozen_supported_body_is_part_of_the_body():
     np.testing.assert_allclose(rates[0], rates[1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_supported_body_is_its_cloud_of_points():
     """Six points on the axes of a carried body have its mass and inertia."""
     half = np.array([0.02, 0.03, 0.015])

@@ -11,6 +11,7 @@ from rollkane.euler_lagrange import EQUATIONS
 from rollkane.quasi_energy import applied
 
 from .. import paper
+from ..quick import slow_but
 
 # 12 printed decimals round at 5e-13; the values are of order 1 to 20 and went through
 # some hundred roundings of 1e-16 each
@@ -82,7 +83,7 @@ def test_chart_data(owner):
 
 
 @pytest.mark.parametrize("sign", [1, pytest.param(-1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("equations", EQUATIONS)
+@pytest.mark.parametrize("equations", slow_but(["2.5", "2.9"], EQUATIONS))
 def test_accelerations_by_the_paper(sign, equations):
     scene, state = paper.scene_and_state(sign)
     rates = rk.euler_lagrange_derivative(scene, NOW, state, equations)

@@ -12,6 +12,7 @@ from rollkane import timed_runs
 from rollkane.scene_files import builtin_scenes, load_scene
 
 from .. import problems
+from ..quick import slow_but
 
 ASKED = 1e-6
 RECORDED = ("isolator", "shaken-plate")
@@ -123,25 +124,21 @@ def test_picture(disc, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        # records go by diffrax, whose three solvers take 15 s to compile
-        pytest.param(name, marks=pytest.mark.slow) if name in RECORDED else name
-        for name in builtin_scenes()
-    ],
+    # a dozen programs each; records go by diffrax, whose solvers take 15 s to compile
+    slow_but(["euler-disc", "rattleback", "shell-with-pendulum"], builtin_scenes()),
 )
 def test_recommended_solver_meets_the_asked_error(name):
-    """Against a run whose tolerance is a thousandth of what was recommended."""
+    """Against the finest run."""
     file = load_scene(name)
     found = rk.recommend(file, error=ASKED, repeats=1)
     assert found.error <= ASKED
     horizon = file.times[-1]
     options = found.setting.options(horizon)
     run = rk.simulate(file.scene, file.start, [0.0, horizon], **options)
-    finer = max(1e-3 * options["rtol"], 1e-13)
     fine = rk.simulate(
-        file.scene, file.start, [0.0, horizon], **(options | {"rtol": finer})
+        file.scene, file.start, [0.0, horizon], **(options | {"rtol": 1e-13})
     )
-    # a thousandth leaves the finer run less than a tenth of the error
+    # which leaves it less than a tenth of the error
     assert apart(pose(run), pose(fine)) <= 1.1 * ASKED
 
 

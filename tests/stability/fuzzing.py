@@ -181,7 +181,7 @@ def unexplained(found: Outcome) -> list[tuple[int, str]]:
             wrong.append((i, f"code {code} is not known"))
         elif code == rk.Code.COMPLETED and not finite.all():
             wrong.append((i, "completed, with NaN"))
-        elif code not in (rk.Code.COMPLETED, rk.Code.BAD_START):
+        elif code not in (rk.Code.COMPLETED, rk.Code.BAD_START, rk.Code.BAD_SCENE):
             if not np.isfinite(found.final_time[i]):
                 wrong.append((i, f"code {code}, and no time that was reached"))
             elif not finite[reached].all():

@@ -416,6 +416,7 @@ def shell_with_mass(inner, stiffness=None, damping=0.0):
     "way of the shell in 2 s, less that of the empty one [m]",
     1e-5,
     "a mass ratio of 1e-6 times a way of 2 m, some times over",
+    slow=True,
 )
 def light_inside():
     return beside_the_empty(1e-6)
@@ -614,6 +615,7 @@ def slow_scene():
     "a body at rest in balance stays there [m]",
     1e-12,
     "nothing moves; rounding of lengths of 0.1 m, growing by an unstable tip",
+    slow=True,
 )
 def rest():
     scene, found = rk.Scene(BALL), []

@@ -67,6 +67,7 @@ def test_end_of_every_axis(axis, sign, beside):
 
 
 @pytest.mark.parametrize("beside", [0.0, pytest.param(1e-6, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_bodies_that_carry_their_point(beside):
     """By a direction and as a level set, through the end of the last axis."""
     R = axis_down(2, 1, beside)
@@ -87,7 +88,7 @@ def test_bodies_that_carry_their_point(beside):
             assert np.abs(turn - turn2).max() < PROMISE
 
 
-@pytest.mark.parametrize("beside", [0.0, 1e-6])
+@pytest.mark.parametrize("beside", [0.0, pytest.param(1e-6, marks=pytest.mark.slow)])
 def test_poles_of_a_body_of_revolution(beside):
     """A meridian through the axis against the same spheroid by its normal."""
     R = axis_down(2, 1, beside)
@@ -106,6 +107,7 @@ def test_poles_of_a_body_of_revolution(beside):
 
 
 @pytest.mark.parametrize("beside", [0.0, pytest.param(1e-6, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_poles_of_the_base(beside):
     """A ball over the top of a sphere: as a normal and as a meridian through it."""
     top = np.array([2.0 * np.sin(beside), 0.0, 2.0 * np.cos(beside)])

@@ -132,7 +132,7 @@ def test_a_mass_that_is_bolted_on_is_part_of_the_body():
         np.testing.assert_allclose(found, of(solid, rk.place(solid, *how)), rtol=1e-12)
 
 
-@pytest.mark.parametrize("t", [1, 0.3, np.float64(0.3)])
+@pytest.mark.parametrize("t", [1, np.float64(0.3)])
 def test_plain_numbers_are_times_too(t):
     driven = rk.PointMasses(
         (1.0,), lambda a: a[0] * jnp.ones((1, 3)), lambda t, a, v: -v

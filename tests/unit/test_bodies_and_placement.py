@@ -296,16 +296,6 @@ def test_a_lane_that_cannot_be_placed_fails_alone():
     assert codes.tolist() == [rk.Code.COMPLETED, rk.Code.BAD_START, rk.Code.COMPLETED]
 
 
-def test_a_traced_bad_number_raises_with_the_same_text():
-    @jax.jit
-    def build(mass):
-        return rk.Body(mass, INERTIA, rk.Sphere(0.1)).mass
-
-    assert float(build(2.0)) == 2.0
-    with pytest.raises(Exception, match=r"Body\.mass: must be positive"):
-        jax.block_until_ready(build(-1.0))
-
-
 def test_running_out_of_steps_keeps_what_was_reached():
     scene, start = problems.disc()
     times = np.linspace(0.0, 5.0, 26)

@@ -11,9 +11,11 @@ import click.testing
 import numpy as np
 import pytest
 
-import rollkane
+import rollkane as rk
 from rollkane import simulation
 from rollkane.cli import _start_jax, main
+from rollkane.native import NoCompilerError
+from rollkane.scene_files import load_scene
 
 BALL = """\
 title = "a ball on a ball"
@@ -102,7 +104,7 @@ def test_flags_of_the_user_stay(monkeypatch):
 
 def test_version():
     result = rollkane_with("--version")
-    assert result.output == f"rollkane, version {rollkane.__version__}\n"
+    assert result.output == f"rollkane, version {rk.__version__}\n"
 
 
 def test_scenes():
@@ -288,6 +290,34 @@ def test_work_precision(folder):
     rows = json.loads((folder / "work.json").read_text())["rows"]
     assert [row["setting"]["rtol"] for row in rows] == [1e-6, 1e-9]
     assert (folder / "work.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_work_precision_without_a_setting_that_worked(folder):
+    """A sentence, not a traceback or a recommendation of nothing."""
+    options = ["--horizon", "0.5", "--solver", "Dopri5", "--method", "native"]
+    options += ["--rtol", "1e-20", "--json", "work.json", "--plot", "work.png"]
+    done = rollkane_with("work-precision", "ball.toml", *options, "--quiet")
+    assert done.exit_code == 1
+    assert "no setting worked (Dopri5, native: tolerances below" in done.output
+    assert json.loads((folder / "work.json").read_text())["rows"] == []
+    assert not (folder / "work.png").exists()
+
+
+def test_work_precision_without_a_compiler(folder, monkeypatch):
+    """Nothing is called native that was run by diffrax."""
+
+    def broken():
+        raise NoCompilerError("no C compiler was found")
+
+    monkeypatch.setattr("rollkane.timed_runs.check_usable", broken)
+    options = ["--horizon", "0.2", "--solver", "Tsit5", "--rtol", "1e-4", "-q"]
+    done = rollkane_with("work-precision", "ball.toml", *options, "--repeats", "1")
+    assert done.exit_code == 0, done.output
+    assert "skipped: Tsit5, native: no C compiler was found" in done.output
+    assert "for 1e-06" in done.output
+    assert done.output.count("Tsit5, native") == 1
+    with pytest.raises(rk.FieldError, match="no C compiler was found"):
+        rk.recommend(load_scene("ball.toml"), method="native")
 
 
 @pytest.mark.parametrize(

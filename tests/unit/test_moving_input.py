@@ -250,6 +250,7 @@ def test_kinks_of_a_user_s_motion_are_landed_on():
     assert many > 3 * few
 
 
+@pytest.mark.slow
 def test_derivatives_are_right_across_a_jump():
     """Along the recorded steps, which end before the jump and begin behind it."""
 

@@ -71,6 +71,7 @@ def test_body_and_base_meet_in_every_frame(name, request):
     np.testing.assert_allclose(out, faced, atol=ROUNDED)
 
 
+@pytest.mark.slow
 def test_velocities_are_the_rates_of_the_poses(table):
     """By differentiating the poses along the motion and in time."""
 
@@ -94,6 +95,7 @@ def test_velocities_are_the_rates_of_the_poses(table):
     np.testing.assert_allclose(drawn.base_angular_velocity, turn, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_which_energy_is_kept(turntable, table, shell):
     assert history(turntable).kept == "moving energy"
     assert history(shell).kept == "energy"
@@ -177,6 +179,7 @@ def test_the_page_has_the_base_s_pose_where_it_moves(table, shell):
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.slow
 def test_between_frames_the_page_moves_the_base_as_it_moves():
     """A base that turns more than a turn between two frames, and glides."""
     spin = rk.Spin(20.0, position=(0.1, 0.2, 0.3))

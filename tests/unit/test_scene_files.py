@@ -86,6 +86,20 @@ def base(text):
 
 
 # what is replaced, by what; field, text of its line, problem, value, remedy
+OVERLAP = """
+[body]
+mass = 1.0
+inertia = [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+surface = { kind = "ellipsoid", semi_axes = [0.3, 0.05, 0.05] }
+[base]
+surface = { kind = "torus", major_radius = 1.0, minor_radius = 0.2, inside = true }
+[start]
+rotations = [["y", -90]]
+angular_velocity = [0, 0, 1]
+contact_on_base = [1.0, 0.0, -0.2]
+[run]
+duration = 0.1
+"""
 BAD_FIELDS = {
     "text for a number": (
         ("mass = 1.0", 'mass = "1.0"'),
@@ -224,9 +238,9 @@ BAD_FIELDS = {
         (
             "base.surface.f",
             "x + 1/(1",
-            "cannot be traced",
+            "holds 1 / (1 - 1), which is not a finite real number",
             "1/(1 - 1)",
-            "return an array",
+            "leave it out",
         ),
     ),
     "parameter": (
@@ -344,6 +358,20 @@ BAD_FIELDS = {
     "rtol negative": (
         ("rtol = 1e-8", "rtol = -1e-8"),
         ("run.rtol", "rtol = -1e-8", "must be positive", "-1e-08", "such as 1e-9"),
+    ),
+    "rtol of nothing": (
+        ("rtol = 1e-8", "rtol = 10.0"),
+        ("run.rtol", "rtol = 10.0", "is above 0.1: it leaves no digit", "10.0", "1e-9"),
+    ),
+    "second contact": (
+        ("rtol = 1e-8", 'rtol = 1e-8\nsecond_contact = "yes"'),
+        (
+            "run.second_contact",
+            'second_contact = "yes"',
+            "must be true or false",
+            "yes",
+            "give true",
+        ),
     ),
     "rtol below rounding": (
         ("rtol = 1e-8", "rtol = 1e-20"),
@@ -575,6 +603,14 @@ def test_formula_is_arithmetic():
         ("[x]", 0, "use numbers, names"),
         ("(lambda: x)()", 0, "write products with *"),
         ("__import__('os')", 0, "use one of: sin"),
+        ("(-1)**0.5*x", 0, "check its signs"),
+        ("x + (0 - 2)**0.25", 4, "check its signs"),
+        ("x*sqrt(-1)", 2, "check its signs"),
+        ("y + log(-pi)", 4, "check its signs"),
+        ("x + 1/(2 - 2)", 4, "check its signs"),
+        ("x/(1 - 1)**-1", 2, "check its signs"),
+        ("x*10.0**400", 2, "check its signs"),
+        ("x*exp(1000)", 2, "check its signs"),
         ("x + " * 400 + "x", 0, "shorten it"),
         ("(" * 500 + "x" + ")" * 500, None, ""),
         ("x" * 3000, None, "shorten it"),
@@ -585,6 +621,13 @@ def test_formula_that_is_not(text, shift, remedy):
         parse(text, ("x", "y"))
     assert shift is None or caught.value.shift == shift
     assert remedy in caught.value.remedy
+
+
+def test_formula_of_constants_is_what_it_says():
+    """Negative bases with whole powers, and roots of what is not negative."""
+    text = "(-2)**3*x + 4**0.5 + abs(-1) - (-1)**2 + sqrt(0) + 2**-1"
+    found = Formula((text,), ("x",))(jnp.float64(1.0))
+    assert found == -8.0 + 2.0 + 1.0 - 1.0 + 0.5
 
 
 def test_formula_points_into_its_string(tmp_path):
@@ -759,3 +802,15 @@ def _members(value, schema):
         firsts = schema.get("prefixItems", [])
         rest = [schema.get("items", {})] * len(value)
         yield from zip(value, (firsts + rest)[: len(value)], strict=True)
+
+
+def test_overlap_and_second_contact(tmp_path):
+    """An egg on end inside a torus: refused with its field, allowed where asked."""
+    text = OVERLAP
+    (found,) = refused(tmp_path, text)
+    assert found.field == "start.contact_on_base"
+    assert "puts the body into the base elsewhere, 0.2 m deep" in found.problem
+    text = text.replace("[run]", "allow_overlap = true\n[run]\nsecond_contact = true")
+    file = load_scene(write(tmp_path, text))
+    assert file.second_contact
+    assert np.isfinite(file.start.orientation).all()

@@ -111,6 +111,7 @@ def test_meshes_are_the_surfaces(page):
         assert mesh["hollow"] is False
 
 
+@pytest.mark.slow
 def test_a_plane_and_a_plate_are_drawn_by_the_page():
     assert view_data(rolling_on_plane())["base"] == {"plane": True}
     plate = rk.Body(1.0, np.diag([1.0, 1.0, 1.9]), rk.Plane(), (0.0, 0.0, -0.1))

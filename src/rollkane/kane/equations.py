@@ -6,6 +6,7 @@ functions share is traced twice, however many there are. Source: the collected
 equations' section 8a (document [B], (1) to (6)).
 """
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..checks import FieldError, is_traced
 from ..small_linear import components, cross, solve_spd
 from ..user_function import GivenFunction, as_time
 from .system import KaneState, KaneSystem, RigidBody
@@ -98,13 +100,15 @@ def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
         system: The system.
         t: Time [s].
         q: Generalized coordinates, shape (n,).
-        u: All generalized speeds, shape (speeds,) or with the auxiliary ones.
+        u: All generalized speeds, shape (speeds,) or with the auxiliary ones, which
+            are zero.
+
+    Raises:
+        FieldError: another number of speeds, or known auxiliary ones that are not zero.
 
     Source: [B] (4); theory, section 8a.
     """
-    t, q, u = as_time(t), jnp.asarray(q), jnp.asarray(u)
-    if u.shape[0] == system.speeds and system.auxiliary:
-        u = jnp.concatenate([u, jnp.zeros(system.auxiliary, u.dtype)])
+    t, q, u = as_time(t), jnp.asarray(q), _with_auxiliary(system, u)
     partials = partials_of(system, t, q)
     q_dot = partials.at("kinematics", u)
     rates = _rates(system, t, q, u, q_dot)
@@ -129,16 +133,20 @@ def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
     """Generalized reactions against the auxiliary speeds, shape (auxiliary,).
 
     What has to act along each auxiliary speed so that it stays zero: with a speed that
-    is a velocity of a point in one direction, the force on that point [N].
+    is a velocity of a point in one direction, the force on that point [N]. A constraint
+    that names an auxiliary speed holds while that speed moves, by the dependent ones,
+    so that its own reaction is no part of the result; one that does not name it gives
+    way, and its reaction is. So it is in SymPy.
 
     Args:
         system: The system.
         t: Time [s].
         state: Coordinates and independent speeds.
     """
-    M, forcing, _, T, bias, of_all = reduced(system, as_time(t), state)
-    u_dot = T @ _solve(M, forcing) + bias
-    return (of_all.mass_matrix @ u_dot - of_all.forcing)[system.speeds :]
+    now = reduced(system, as_time(t), state)
+    u_dot = now.T @ _solve(now.mass_matrix, now.forcing) + now.bias
+    lacking = now.of_all.mass_matrix @ u_dot - now.of_all.forcing
+    return now.with_auxiliary.T @ lacking
 
 
 def kinetic_energy(system: KaneSystem, t, state: KaneState) -> Float[Array, ""]:
@@ -150,7 +158,7 @@ def kinetic_energy(system: KaneSystem, t, state: KaneState) -> Float[Array, ""]:
         state: Coordinates and independent speeds.
     """
     partials = partials_of(system, as_time(t), state.q)
-    return _energy(system, partials, _speeds(system, partials, state.u).u)
+    return _energy(system, partials, speeds_of(system, partials, state.u).u)
 
 
 def all_speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
@@ -164,18 +172,24 @@ def all_speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
         state: Coordinates and independent speeds.
     """
     partials = partials_of(system, as_time(t), state.q)
-    return _speeds(system, partials, state.u).u[: system.speeds]
+    return speeds_of(system, partials, state.u).u[: system.speeds]
 
 
 class Reduced(NamedTuple):
-    """Equations of the independent speeds; ``u' = T u_i' + bias`` for all."""
+    """Equations of the independent speeds; ``u' = T u_i' + bias`` for all.
+
+    ``with_auxiliary``: how all speeds move with each auxiliary one. ``partials``: what
+    all of it was made of.
+    """
 
     mass_matrix: Float[Array, "i i"]
     forcing: Float[Array, " i"]
     u: Float[Array, " m"]
     T: Float[Array, "m i"]
     bias: Float[Array, " m"]
+    with_auxiliary: Float[Array, "m a"]
     of_all: KaneEquations
+    partials: Partials
 
     def rates(self) -> KaneState:
         """Q' and u_i'."""
@@ -185,15 +199,17 @@ class Reduced(NamedTuple):
 def reduced(system: KaneSystem, t, state: KaneState) -> Reduced:
     """Equations of the independent speeds alone."""
     partials = partials_of(system, t, state.q)
-    u, T, follow = _speeds(system, partials, state.u)
+    u, T, follow = speeds_of(system, partials, state.u)
     q_dot = partials.at("kinematics", u)
     rates = _rates(system, t, state.q, u, q_dot)
     of_all = _assembled(system, partials, rates, u, q_dot)
     M, forcing, bias = of_all.mass_matrix, of_all.forcing, jnp.zeros_like(u)
+    lifted = _places(u.shape[0], range(system.speeds, u.shape[0]), u.dtype)
     if rates.constraints is not None:
         bias = follow @ rates.constraints
         forcing = forcing - M @ bias
-    return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, of_all)
+        lifted = lifted + follow @ (partials.by_speeds.constraints @ lifted)
+    return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, lifted, of_all, partials)
 
 
 def values_of(system: KaneSystem, t, q, u) -> Velocities:
@@ -238,7 +254,7 @@ def _rates(system: KaneSystem, t, q, u, q_dot) -> _Rates:
     return _Rates(*rates, *forces)
 
 
-def _speeds(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
+def speeds_of(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
     """Every speed from the independent ones, by the constraints."""
     size = system.speeds + system.auxiliary
     free = _places(size, system.independent, u_independent.dtype)
@@ -252,7 +268,30 @@ def _speeds(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
     return Speeds(u, free + follow @ (C @ free), follow)
 
 
-def _places(size: int, chosen: tuple[int, ...], dtype) -> Float[Array, "m k"]:
+def _with_auxiliary(system: KaneSystem, u) -> Float[Array, " m"]:
+    """All speeds, the auxiliary ones behind the others."""
+    known = None if is_traced(u) else np.asarray(u)
+    u, count = jnp.asarray(u), system.auxiliary
+    if u.shape not in ((system.speeds,), (system.speeds + count,)):
+        raise FieldError(
+            "kane_equations.u",
+            u.shape,
+            f"must have shape ({system.speeds},)",
+            "give every speed, dependent ones included",
+        )
+    if u.shape[0] == system.speeds:
+        return jnp.concatenate([u, jnp.zeros(count, u.dtype)]) if count else u
+    if known is not None and known[system.speeds :].any():
+        raise FieldError(
+            "kane_equations.u",
+            known,
+            "has auxiliary speeds that are not zero",
+            "leave them out: they are only thought of, to give the reactions",
+        )
+    return u
+
+
+def _places(size: int, chosen: Iterable[int], dtype) -> Float[Array, "m k"]:
     """Puts chosen speeds into their places among all."""
     return jnp.asarray(np.eye(size)[:, list(chosen)], dtype)
 

@@ -14,7 +14,7 @@ from ..checks import FieldError, is_traced
 from ..one_call import for_one_call
 from ..user_function import as_time
 from .equations import reduced
-from .refusals import curvature, refuse
+from .refusals import examined, refuse
 from .system import KaneState, KaneSystem
 
 
@@ -45,7 +45,8 @@ def linearize(
     """Linearize a system about a state.
 
     Dependent speeds are eliminated by the velocity constraints; dependent coordinates
-    by the configuration constraints, whose solution ``state`` has to be.
+    by the configuration constraints, whose solution ``state`` has to be, and whose
+    rates the velocity constraints have to hold at zero.
 
     Args:
         system: The system.
@@ -59,12 +60,15 @@ def linearize(
 
     Raises:
         FieldError: dependent ones among the chosen, or inputs without parameters; what
-            ``simulate`` refuses of a state.
+            ``simulate`` refuses of a start; dependent coordinates that the
+            configuration does not determine. Nothing is said of traced numbers.
 
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
     """
-    t = as_time(t)
+    known = not is_traced(system, t, state)
+    # by JAX a known time could be traced
+    t = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
     free = _chosen("q_ind", q_ind, system.independent_coordinates)
     moving = _chosen("u_ind", u_ind, system.independent)
     if inputs is not None and system.parameters is None:
@@ -74,14 +78,14 @@ def linearize(
             "has no parameters to choose from",
             "give KaneSystem(parameters=...) and let the loads depend on them",
         )
-    found, equations, curved = _linearized(system, t, state, free, moving, inputs)
-    if not is_traced(found):
-        refuse(system, t, state, equations, curved)
+    found, seen = _linearized(system, t, state, free, moving, inputs, known)
+    if seen is not None:
+        refuse(system, t, state, seen, eliminated=True)
     return found
 
 
 @for_one_call
-def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs):
+def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs, known):
     n = len(free)
     free = np.asarray(free, int)
     places = np.asarray([system.independent.index(k) for k in moving], int)
@@ -102,7 +106,8 @@ def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs):
 
     derivatives = jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, r)
     (A, B), (f, equations) = derivatives
-    return Linearization(A, B, f), equations, curvature(system, t, state)
+    seen = examined(system, t, state, equations) if known else None
+    return Linearization(A, B, f), seen
 
 
 def _chosen(name: str, numbers, independent: tuple[int, ...]) -> tuple[int, ...]:

@@ -9,15 +9,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..checks import FieldError
-from ..integration import Problem, checked_times, integrate, warn_single_precision
-from ..trajectory import Code, reason_of
+from ..codes import NO_FAULT, Code, Fields
+from ..integration import (
+    Problem,
+    checked_times,
+    integrate,
+    tolerances,
+    warn_single_precision,
+)
+from ..keeping import KeepingEnergy
 from .equations import (
     all_speeds,
     kane_derivative,
     kinetic_energy,
     reactions,
 )
-from .refusals import refuse_singular
+from .refusals import refuse_start
 from .system import KaneState, KaneSystem
 
 
@@ -34,6 +41,8 @@ class KaneTrajectory(eqx.Module):
         final_state: State at that time.
         steps: Accepted steps.
         rejected_steps: Rejected steps.
+        fault: Which number of the system, the start or the times cannot be used, as
+            ``reason`` names it; -1: none.
     """
 
     time: Float[Array, " T"]
@@ -44,6 +53,7 @@ class KaneTrajectory(eqx.Module):
     final_state: KaneState
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
+    fault: Int[Array, ""] | int = NO_FAULT
 
     @property
     def q(self) -> Float[Array, "T n"]:
@@ -73,7 +83,8 @@ class KaneTrajectory(eqx.Module):
     @property
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
-        return reason_of(self.code)
+        fields = Fields.of(self.system, self.final_state, "system")
+        return fields.reason(self.code, self.fault)
 
 
 def simulate(
@@ -109,13 +120,21 @@ def simulate(
         progress_meter: diffrax progress meter.
 
     Raises:
-        FieldError: a start of another shape, times or tolerances out of range.
+        FieldError: a start of another shape, times or tolerances out of range; of known
+            numbers: velocities that are not affine in the speeds, a start that violates
+            the configuration, constraints that do not keep it, and what else leaves the
+            motion undetermined there.
     """
+    if isinstance(solver, KeepingEnergy):
+        problem = "keeps the energy of a rolling scene, not that of a system"
+        remedy = "write the function for rollkane.Keeping yourself"
+        raise FieldError("simulate.solver", solver, problem, remedy)
     start = _checked_start(system, start)
     dtype = start.q.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
-    refuse_singular(system, times[0], start)
+    rtol, atol = tolerances(rtol, atol, dtype)
+    refuse_start(system, times[0], start, rtol)
     outcome = integrate(
         _PROBLEM,
         system,
@@ -140,6 +159,7 @@ def simulate(
         final_state=outcome.final_state,
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
+        fault=outcome.fault,
     )
 
 

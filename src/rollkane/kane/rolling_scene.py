@@ -11,12 +11,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..checks import FieldError
 from ..contact import Contact
 from ..coordinates import State, pack, unpack
 from ..loads import AbstractLoad
 from ..mass_matrix import field_of, generalized_force, shares
 from ..rolling import contact_of
-from ..scene import Scene
+from ..scene import Rolling, Scene
 from ..small_linear import cross
 from ..supported import Carried
 from .system import KaneState, KaneSystem, Load, Particle, RigidBody
@@ -34,8 +35,18 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
         reactions: Whether the contact point gets three auxiliary velocities along the
             FIXED axes, whose reactions are the contact force [N].
 
+    Raises:
+        FieldError: a contact that slips, or does not spin: its law is not written down.
+
     Source: theory, sections 4 and 8a.
     """
+    if type(scene.contact) is not Rolling:  # RubberRolling is one of its kinds
+        raise FieldError(
+            "rolling_system.scene",
+            type(scene.contact).__name__,
+            "has another law of the contact than Rolling",
+            "give a scene with contact=Rolling(), or write its system down",
+        )
     count = scene.coordinate_count
     shared = _Shared(_places(like), reactions)
     parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]

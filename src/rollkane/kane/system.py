@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -76,7 +77,8 @@ class KaneSystem(eqx.Module):
             None for none.
         configuration: Constraints of the coordinates, function of (t, q, u), which
             does not look at u; None for none. The motion keeps them by the velocity
-            constraints; linearization and starts need them.
+            constraints, among which their rates have to be; starts fulfil them, and
+            linearization follows them.
         coordinates: Number of generalized coordinates.
         speeds: Number of generalized speeds, dependent ones included.
         dependent: Which speeds the constraints determine.
@@ -130,10 +132,12 @@ class KaneSystem(eqx.Module):
             dependent: Numbers of the speeds that the constraints determine, as many as
                 there are constraints.
             configuration: ``configuration(t, q, u)`` -> what has to be zero, without
-                using u; its rate must be among the constraints.
+                using u; its rate must be among the constraints. ``simulate`` and
+                ``linearize`` see to both.
             dependent_coordinates: Numbers of the coordinates that it determines.
             auxiliary: Number of auxiliary speeds; every function gets them behind the
-                others.
+                others. A constraint that names one keeps holding while it moves, by the
+                dependent speeds; one that does not, gives way (see ``reactions``).
             generalized_forces: Function of (t, q, u) -> one force for each speed [J per
                 unit of the integral of the speed], the auxiliary ones last: what is
                 easier said in coordinates than by points (springs, dampers, motors).
@@ -145,7 +149,8 @@ class KaneSystem(eqx.Module):
 
         Raises:
             FieldError: shapes that do not fit, dependent speeds that are not there,
-                masses or inertias that no body can have.
+                masses or inertias that no body can have, a configuration that looks at
+                the speeds.
         """
         self.coordinates, self.speeds = coordinates, speeds
         self.auxiliary = auxiliary
@@ -192,6 +197,7 @@ class KaneSystem(eqx.Module):
             "dependent_coordinates",
             self.dependent_coordinates,
         )
+        _refuse_speeds(self, configuration, *example)
 
     def more(self, t, q, u) -> Any:
         """What the functions get behind (t, q, u)."""
@@ -277,3 +283,50 @@ def _bound(motion, name: str, function, of: str, chosen) -> GivenFunction | None
     if function is None:
         return None
     return motion(f"KaneSystem.{name}", function, (len(chosen),))
+
+
+def _refuse_speeds(system: KaneSystem, given: Any, t, q, u) -> None:
+    """Refuse a configuration that looks at the speeds, whatever their numbers are."""
+    wrapped = system.configuration
+    if wrapped is None:
+        return
+    try:
+        looks = _depends(lambda u: system.at(wrapped, t, q, u), u)
+    except Exception as error:
+        raise FieldError(
+            "KaneSystem.configuration",
+            given,
+            f"cannot be mapped by JAX ({error})",
+            "write it by jax.numpy operations",
+        ) from error
+    if looks:
+        raise FieldError(
+            "KaneSystem.configuration",
+            given,
+            "looks at the speeds u",
+            "write it in t and q alone, and what is said of speeds into constraints "
+            "(`shared` must not hand it coordinates and speeds in one array)",
+        )
+
+
+def _depends(function: Callable, argument: Array) -> bool:
+    """Whether a value is computed from an argument, found by tracing.
+
+    A map over the argument knows what it maps: in a program that holds others, too, and
+    where a derivative would vanish by chance.
+    """
+    mapped = []
+
+    @jax.custom_batching.custom_vmap
+    def seen(value):
+        return value
+
+    @seen.def_vmap
+    def _(size, batched, value):
+        del size
+        mapped.append(batched[0])
+        return value, batched[0]
+
+    some = jax.ShapeDtypeStruct((2, *argument.shape), argument.dtype)
+    jax.eval_shape(jax.vmap(lambda x: seen(function(x))), some)
+    return any(mapped)

@@ -9,6 +9,7 @@ from .derivatives import CotangentLoop, Rates, TangentLoop, Way
 from .lanes import LaneLoop, Queue, Results, Stops
 from .right_hand_side import zeros_of
 from .runs import Course, RunLoop
+from .xla_call import check_usable
 
 __all__ = [
     "CotangentLoop",
@@ -22,5 +23,6 @@ __all__ = [
     "Stops",
     "TangentLoop",
     "Way",
+    "check_usable",
     "zeros_of",
 ]

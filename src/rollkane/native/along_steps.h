@@ -25,6 +25,14 @@ static Step step_of(const Way *way, long i) {
     return (Step){begin, following, following};
 }
 
+/* Of outputs at one time, the last; only it is shown. */
+static long last_of(const Way *way, long output) {
+    while (output + 1 < way->output_count &&
+           way->outputs[output + 1] == way->outputs[output])
+        output++;
+    return output;
+}
+
 static int shows(const Way *way, Step step, long output) {
     const real time = way->outputs[output];
     return step.end <= time && time <= step.following;

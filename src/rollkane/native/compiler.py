@@ -1,17 +1,18 @@
-"""The system's C compiler: found, asked, and its work kept for the next process."""
+"""The system's C compiler: found, and asked."""
 
 import ctypes
+import functools
 import hashlib
 import os
 import shutil
 import subprocess
-import tempfile
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from .cache import UnusableError, loaded
 
 # sqrt need not set errno, which a loop over lanes could not do in one instruction
 _FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared")
@@ -36,7 +37,7 @@ class _Compiler(NamedTuple):
     machine: str
 
 
-@cache
+@functools.cache
 def _compiler(chosen: str | None) -> _Compiler:
     names = filter(None, (chosen, "cc", "gcc", "clang"))
     found = next(filter(None, map(shutil.which, names)), None)
@@ -47,25 +48,14 @@ def _compiler(chosen: str | None) -> _Compiler:
         )
     for processor in _PROCESSOR:
         command = (found, *_FLAGS, *processor)
-        asked = [*command, "-E", "-dM", "-x", "c", os.devnull]
-        told = subprocess.run(
-            asked, capture_output=True, timeout=_PATIENCE, check=False
-        )
+        asked = (*command, "-E", "-dM", "-x", "c", os.devnull)
+        told = _run(asked)
         if told.returncode == 0:
             return _Compiler(command, hashlib.sha256(told.stdout).hexdigest())
     raise NoCompilerError(
         f"{found} does not know {' '.join(_FLAGS)}: set CC to gcc or clang, or choose "
         'method="diffrax"'
     )
-
-
-def cache_folder() -> Path:
-    """Where compiled loops are kept: ``ROLLKANE_CACHE``, or the user's cache folder."""
-    chosen = os.environ.get("ROLLKANE_CACHE")
-    if chosen:
-        return Path(chosen)
-    home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "rollkane"
 
 
 def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
@@ -94,53 +84,80 @@ def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
     return "\n".join(lines)
 
 
-def compiled(source: str) -> ctypes.CDLL:
+class Program(NamedTuple):
     """A C program as a loaded library.
+
+    Attributes:
+        library: Its functions.
+        key: Differs for all that differs in text, compiler, flags and processor.
+    """
+
+    library: ctypes.CDLL
+    key: str
+
+
+def compiled(source: str) -> Program:
+    """A C program, compiled and loaded.
 
     Args:
         source: C text.
 
     Raises:
-        NoCompilerError: no compiler, or one that fails on it.
+        NoCompilerError: no compiler, one that fails on it, or no place for its work.
     """
     compiler = _compiler(os.environ.get("CC"))
     told = "\n".join((*compiler.command, compiler.machine, source))
-    key = hashlib.sha256(told.encode())
-    name = f"{key.hexdigest()[:32]}.so"
-    told = ""
-    for folder in (cache_folder(), Path(tempfile.gettempdir()) / f"rollkane-{_user()}"):
-        try:
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            target = folder / name
-            if not target.exists():
-                _compile(compiler.command, source, target)
-            return ctypes.CDLL(str(target))
-        except OSError as error:  # it cannot be written, or nothing loaded from there
-            told = str(error)
-    raise NoCompilerError(
-        "compiled loops can be kept neither in the cache folder nor in the folder for "
-        f"temporary files ({told}): set ROLLKANE_CACHE to a folder of yours, or choose "
-        'method="diffrax"'
-    )
+    key = hashlib.sha256(told.encode()).hexdigest()[:32]
+    make = functools.partial(_compile, compiler.command, source)
+    try:
+        return Program(loaded(key, make), key)
+    except UnusableError as error:
+        if isinstance(error.__cause__, _FailedError):
+            raise NoCompilerError(str(error.__cause__)) from error
+        raise NoCompilerError(
+            "no folder serves for compiled loops, neither the cache folder nor a "
+            f"private one for temporary files ({error}): set ROLLKANE_CACHE to a "
+            'folder that only you can write, or choose method="diffrax"'
+        ) from error
 
 
-def _user() -> str:
-    return str(os.getuid()) if hasattr(os, "getuid") else "user"
+class _FailedError(OSError):
+    """The compiler failed: on the text, or for lack of space in this folder."""
 
 
 def _compile(compiler: tuple[str, ...], source: str, target: Path) -> None:
-    """Compile to a file of its own, which takes the target's place when complete."""
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        made = Path(folder) / "lanes.so"
-        command = [*compiler, "-x", "c", "-", "-o", str(made), "-lm"]
-        done = subprocess.run(
+    """Compile to a file, with the compiler's own temporary files beside it."""
+    command = (*compiler, "-x", "c", "-", "-o", str(target), "-lm")
+    done = _run(command, source, os.environ | {"TMPDIR": str(target.parent)})
+    if done.returncode == 0:
+        return
+    told = done.stderr.decode(errors="replace").strip()
+    lines = [x.strip() for x in told.splitlines()] or [f"exit status {done.returncode}"]
+    first = next((x for x in lines if "error" in x), lines[0])
+    failed = _FailedError(f"the C compiler failed ({compiler[0]}): {first}")
+    failed.add_note(told)
+    raise failed
+
+
+def _run(
+    command: tuple[str, ...], text: str = "", environment: dict[str, str] | None = None
+) -> subprocess.CompletedProcess:
+    """Ask a compiler, and wait for its answer."""
+    try:
+        return subprocess.run(
             command,
-            input=source.encode(),
+            input=text.encode(),
             capture_output=True,
             timeout=_PATIENCE,
             check=False,
+            env=environment,
         )
-        if done.returncode:
-            told = done.stderr.decode(errors="replace").strip()
-            raise NoCompilerError(f"the C compiler failed ({compiler[0]}): {told}")
-        made.replace(target)
+    except subprocess.TimeoutExpired as error:
+        problem = f"did not end within {_PATIENCE:.0f} s"
+        cause = error
+    except OSError as error:
+        problem = f"does not start: {error.strerror}"
+        cause = error
+    raise NoCompilerError(
+        f'the C compiler {command[0]} {problem}; set CC, or choose method="diffrax"'
+    ) from cause

@@ -37,7 +37,8 @@ static void pull(const Way *way, const real *shared, const real *kept, const rea
             const Step step = step_of(way, i);
             if (output && shows(way, step, output)) {
                 for (int c = 0; c < N; c++) back[c] += asked[output * N + c];
-                output--;
+                do output--; /* of outputs at one time nothing is asked but of the last */
+                while (output && way->outputs[output] == way->outputs[output + 1]);
             }
             retreat(s * step.begin, s * step.end, s * (step.end - step.begin),
                     y[i - first], k[i - first], shared, w, back, moved);
@@ -52,7 +53,7 @@ static void pull(const Way *way, const real *shared, const real *kept, const rea
         }
 }
 
-XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
+void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 2, 2, 1, 1, 0, 0, 1, 1};
     Call call;
     if (!received(frame, axes, 1, &call)) return NULL;

@@ -1,6 +1,8 @@
 /* Many motions in one loop over lanes. Before this text: rows.h, and generated N (numbers
  * of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS (that
- * prepare leaves for rates), and prepare, rates, attempt.
+ * prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
+ * plane vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
+ * prepare_watch and rates_watch.
  *
  * Every lane has a time and a step of its own. One that reaches a stop writes its output
  * and goes on; one that ends takes the next motion of the queue. The steps are those of
@@ -69,6 +71,20 @@ INLINE row towards(int only, row goal, row t, row dt) {
     return choose_row(dt >= left * (real)0.999, goal, t + half);
 }
 
+#if WATCHED
+/* Where a step reverses none of the vectors. */
+INLINE mask unbroken(const Queue *q, const Lanes *a, const row *y, const real *u,
+                     const row *v) {
+    row before[2 * WATCHED], after[2 * WATCHED];
+    mask stands = mask_of(1);
+    rates_watch(q->sense * a->t, a->y, a->own, q->shared, NULL, u, v, before);
+    rates_watch(q->sense * a->t_end, y, a->own, q->shared, NULL, u, v, after);
+    for (int i = 0; i < 2 * WATCHED; i += 2)
+        stands &= before[i] * after[i] + before[i + 1] * after[i + 1] > 0;
+    return stands;
+}
+#endif
+
 /* Record where the next step of an only lane begins. */
 INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
 #if RECORD
@@ -135,6 +151,11 @@ int64_t integrate(const Queue *q, const Results *out) {
     memset(&a, 0, sizeof a);
     for (int l = 0; l < LANES; l++) a.motion[l] = -1;
     prepare(q->shared, NULL, u, v);
+#if WATCHED
+    real watch_u[WATCH_NUMBERS + 1];
+    row watch_v[WATCH_ROWS + 1];
+    prepare_watch(q->shared, NULL, watch_u, watch_v);
+#endif
     for (;;) {
         mask fresh = mask_of(0), moved = mask_of(0);
         for (int l = 0; l < LANES; l++) {
@@ -162,6 +183,9 @@ int64_t integrate(const Queue *q, const Results *out) {
             }
             size = sqrt_row(size / (real)N);
             size = choose_row(size < (real)1e12, size, splat((real)1e12)); /* NaN too */
+#if WATCHED
+            size = choose_row(unbroken(q, &a, y, watch_u, watch_v), size, splat((real)1e12));
+#endif
             const mask kept = size < 1;
             row factor = root(max_row(size, splat((real)1e-12))) * (real)0.9;
             const row least = choose_row(kept, splat(1), splat((real)0.2));

@@ -71,6 +71,8 @@ class Results(NamedTuple):
         steps: Accepted, shape (M,).
         rejected_steps: Shape (M,).
         turns: Steps of the whole row of lanes, waited through or not.
+        fault: Of each motion, which field cannot be used, shape (M,); None: not looked
+            at here.
     """
 
     y: Float[np.ndarray, "M T n"]
@@ -80,6 +82,7 @@ class Results(NamedTuple):
     steps: Int[np.ndarray, " M"]
     rejected_steps: Int[np.ndarray, " M"]
     turns: int
+    fault: Int[np.ndarray, " M"] | None = None
 
 
 class LaneLoop:
@@ -99,6 +102,7 @@ class LaneLoop:
         lanes: int | None = None,
         zeros: Sequence[bytes] | None = None,
         extended: bool = False,
+        watch: Callable | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -110,9 +114,9 @@ class LaneLoop:
             weights: Of an explicit Runge-Kutta pair.
             lanes: How many; what a vector of 64 bytes holds by default.
             zeros: Of each leaf, which numbers are zero for all; None: not known.
-
             extended: Whether it computes with C's long doubles, of 64 bits on most
                 processors, and one motion after the other.
+            watch: Vectors that no step may reverse; see ``lanes_source``.
 
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
@@ -122,7 +126,7 @@ class LaneLoop:
         lanes = 1 if extended else lanes
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
-        functions = lanes_source(derivative, state, leaves, own, zeros).functions
+        made = lanes_source(derivative, state, leaves, own, zeros, watch)
         sizes = [
             math.prod(leaf.shape)
             for leaf, differs in zip(leaves, own, strict=True)
@@ -133,19 +137,21 @@ class LaneLoop:
             "OWN": sum(sizes),
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
-            "NUMBERS": functions.numbers,
-            "ROWS": functions.rows,
             "RECORD": 0,
+            **made.head,
         }
-        parts = "rows.h", functions.text, attempt_source(weights), "lane_loop.c"
+        parts = "rows.h", made.text, attempt_source(weights), "lane_loop.c"
         self.source = program_of(self.dtype, lanes, head, parts)
-        self._library = compiled(self.source)
+        self._library = compiled(self.source).library
         self._library.integrate.restype = ctypes.c_int64
         sizes = ctypes.c_float, ctypes.c_double, ctypes.c_longdouble
         self._real = next(x for x in sizes if ctypes.sizeof(x) == self.dtype.itemsize)
 
     def run(self, queue: Queue, stops: Stops) -> Results:
-        """Integrate a queue of motions; other threads of Python go on meanwhile."""
+        """Integrate a queue of motions; other threads of Python go on meanwhile.
+
+        Without stops there is no time to go to, and every motion ends where it begins.
+        """
         count, n = queue.starts.shape
         results = Results(
             y=np.full((count, stops.outputs, n), np.nan, self.dtype),
@@ -156,6 +162,11 @@ class LaneLoop:
             rejected_steps=np.zeros(count, np.int64),
             turns=0,
         )
+        if not len(stops.ends):
+            return results._replace(
+                final_y=np.array(queue.starts, self.dtype),
+                final_time=np.full(count, queue.time, self.dtype),
+            )
         reals = [
             np.ascontiguousarray(x, self.dtype)
             for x in (

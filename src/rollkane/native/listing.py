@@ -19,6 +19,7 @@ _LOGICAL = {"and": "&", "or": "|"}
 _FORMULAS = {
     "neg": "-{0}",
     "square": "{0} * {0}",
+    "one_minus_square": "((real)1 + {0}) * ((real)1 - {0})",
     "rsqrt": "(real)1 / sqrt{1}({0})",
     "logistic": "(real)1 / ((real)1 + exp{1}(-{0}))",
     "is_finite": "({0} - {0}) == ({0} - {0})",

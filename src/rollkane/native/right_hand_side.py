@@ -25,11 +25,33 @@ class Source(NamedTuple):
         closed: Traced arrays that they close over: their numbers follow those of what
             is given in ``shared``.
         back: Of the cotangents; None where they are not asked for.
+        watch: Of the vectors that no step may reverse; None where there are none.
+        watched: How many plane vectors those are.
     """
 
     functions: Functions
     closed: list
     back: Functions | None = None
+    watch: Functions | None = None
+    watched: int = 0
+
+    @property
+    def head(self) -> dict[str, int]:
+        """Sizes that the loop over lanes has to know."""
+        watch = self.watch
+        return {
+            "NUMBERS": self.functions.numbers,
+            "ROWS": self.functions.rows,
+            "WATCHED": self.watched,
+            "WATCH_NUMBERS": 0 if watch is None else watch.numbers,
+            "WATCH_ROWS": 0 if watch is None else watch.rows,
+        }
+
+    @property
+    def text(self) -> str:
+        """All functions, in C."""
+        parts = self.functions, self.watch
+        return "\n".join(part.text for part in parts if part is not None)
 
 
 def lanes_source(
@@ -38,6 +60,7 @@ def lanes_source(
     leaves: list,
     own: list[bool],
     zeros: Sequence[bytes] | None = None,
+    watch: Callable | None = None,
 ) -> Source:
     """A right-hand side for a row of motions.
 
@@ -48,16 +71,38 @@ def lanes_source(
         own: Which of them differ from motion to motion.
         zeros: Of each leaf, which numbers are zero for all (:func:`zeros_of`): what
             they are multiplied by is left out. None: not known of any.
+        watch: ``watch(t, y, *leaves)`` -> numbers of plane vectors that no step may
+            reverse, one vector behind the other; None for none.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
     """
-    time = jax.ShapeDtypeStruct((), state.dtype)
-    program = Program(derivative, time, state, *leaves)
-    listing = Listing()
+    zeros = [b""] * len(leaves) if zeros is None else zeros
+    stage = "row t, const row *restrict y, const row *restrict own"
+
+    def written(function, room, ending):
+        time = jax.ShapeDtypeStruct((), state.dtype)
+        program = Program(function, time, state, *leaves)
+        listing = Listing()
+        values, size = _of_lanes(state, leaves, own, zeros)
+        closed, traced = _closed(program, size + room, state.dtype)
+        (numbers,) = program(values, listing.operate, closed)
+        result = Result("d", numbers, row=True)
+        made = as_functions(listing, stage, [result], ending)
+        return made, traced, numbers.size
+
+    made, traced, _ = written(derivative, 0, "")
+    if watch is None:
+        return Source(made, traced)
+    behind = sum(math.prod(x.shape) for x in traced)
+    watched, more, size = written(watch, behind, "_watch")
+    return Source(made, [*traced, *more], watch=watched, watched=size // 2)
+
+
+def _of_lanes(state, leaves, own, zeros) -> tuple[list, int]:
+    """Time, state and leaves as symbols, and how many numbers all lanes share."""
     values = [symbols(["t"], (), row=True), array("y", state.shape, row=True)]
     places = {"own": 0, "shared": 0}
-    zeros = [b""] * len(leaves) if zeros is None else zeros
     for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
         if not np.issubdtype(leaf.dtype, np.floating):
             raise NotElementwiseError("a model with whole numbers")
@@ -69,11 +114,7 @@ def lanes_source(
                 numbers.reshape(-1)[i] = leaf.dtype.type(0)
         values.append(numbers)
         places[name] += math.prod(leaf.shape)
-    closed, traced = _closed(program, places["shared"], state.dtype)
-    (rates,) = program(values, listing.operate, closed)
-    stage = "row t, const row *restrict y, const row *restrict own"
-    made = as_functions(listing, stage, [Result("d", rates, row=True)])
-    return Source(made, traced)
+    return values, places["shared"]
 
 
 def tangents_source(rates: Callable, state: Any, varied: list) -> Source:

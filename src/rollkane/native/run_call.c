@@ -4,24 +4,36 @@
 
 enum { SHARED_AT, Y_AT, ATOL_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT, TIMES_AT };
 
-/* Which output each stop is, -1 for none; ends that are infinite are none. */
-static long slots_of(Queue *q, const real *times, long ends, int64_t *slots) {
-    long stop = 0, output = 0;
-    for (; stop < ends && isfinite(q->ends[stop]); stop++) {
-        const real time = output < q->outputs ? times[output] : (real)INFINITY;
-        const int shown = q->ends[stop] <= time && time <= q->begins[stop];
-        slots[stop] = shown ? output++ : -1;
+/* Leave of a queue's stops those behind its first time, each once; those that are infinite
+ * are none. Their slots are the outputs that they are, of several the last; -1 for none. */
+static void settle_stops(Queue *q, const real *times, real *ends, real *begins,
+                         int64_t *slots) {
+    const long given = q->stops;
+    real last = q->time;
+    long output = 0;
+    q->stops = 0;
+    while (output < q->outputs && times[output] <= last) output++;
+    for (long i = 0; i < given && isfinite(q->ends[i]); i++) {
+        const real end = q->ends[i], begin = q->begins[i];
+        if (!(end > last)) continue;
+        int64_t slot = -1;
+        while (output < q->outputs && end <= times[output] && times[output] <= begin)
+            slot = output++;
+        ends[q->stops] = last = end;
+        begins[q->stops] = begin;
+        slots[q->stops++] = slot;
     }
-    return stop;
+    q->ends = ends, q->begins = begins, q->slots = slots;
 }
 
 static void run_member(const Call *call, long b) {
     const real *numbers = member(call, NUMBERS_AT, b);
     const real *times = member(call, TIMES_AT, b);
-    const long ends = size_of(&call->given[ENDS_AT]);
+    const long given = size_of(&call->given[ENDS_AT]);
     Queue q = {
         .count = 1,
         .outputs = size_of(&call->given[TIMES_AT]),
+        .stops = given,
         .starts = member(call, Y_AT, b),
         .shared = member(call, SHARED_AT, b),
         .atol = member(call, ATOL_AT, b),
@@ -34,7 +46,8 @@ static void run_member(const Call *call, long b) {
         .first_steps = numbers + 4,
         .max_steps = (int64_t)numbers[5],
     };
-    int64_t steps, rejected, *slots = malloc((ends + 1) * sizeof *slots);
+    int64_t steps, rejected, *slots = malloc((given + 1) * sizeof *slots);
+    real *ends = malloc(2 * (given + 1) * sizeof *ends);
     int32_t code;
     real *told = wanted(call, 2, b);
     const Results out = {
@@ -50,23 +63,25 @@ static void run_member(const Call *call, long b) {
 #endif
     };
     for (long i = 0; i < q.outputs * N; i++) out.y[i] = (real)NAN;
-    q.slots = slots;
-    q.stops = slots_of(&q, times, ends, slots);
+    settle_stops(&q, times, ends, ends + given + 1, slots);
     if (q.stops)
         integrate(&q, &out);
     else { /* no time to go to */
         code = BAD_START, steps = rejected = 0;
         told[0] = q.time;
         memcpy(out.final_y, q.starts, N * sizeof(real));
+#if RECORD
+        out.record[0] = q.sense * q.time;
+#endif
     }
-    free(slots);
+    free(slots), free(ends);
     told[0] *= q.sense;
     told[1] = (real)code;
     told[2] = (real)steps;
     told[3] = (real)rejected;
 }
 
-XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
+void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 1, 1, 1, 1, 1, 1};
     Call call;
     if (!received(frame, axes, 2, &call)) return NULL;

@@ -74,6 +74,7 @@ class RunLoop:
         weights: Weights,
         zeros: Sequence[bytes] | None = None,
         between: int = 0,
+        watch: Callable | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -84,6 +85,7 @@ class RunLoop:
             weights: Of an explicit Runge-Kutta pair.
             zeros: Of each leaf, which numbers are zero; see ``lanes_source``.
             between: How many steps from one recorded state to the next; 0: no record.
+            watch: Vectors that no step may reverse; see ``lanes_source``.
 
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
@@ -91,7 +93,7 @@ class RunLoop:
         """
         state = jax.ShapeDtypeStruct(state.shape, state.dtype)
         own = [False] * len(leaves)
-        made = lanes_source(derivative, state, leaves, own, zeros)
+        made = lanes_source(derivative, state, leaves, own, zeros, watch)
         self._shared = in_one([*leaves, *made.closed], state.dtype)
         self._between = between
         head = {
@@ -99,13 +101,12 @@ class RunLoop:
             "OWN": 0,
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
-            "NUMBERS": made.functions.numbers,
-            "ROWS": made.functions.rows,
             "RECORD": int(between > 0),
             "BETWEEN": between,
+            **made.head,
         }
         parts = (
-            made.functions.text,
+            made.text,
             attempt_source(weights),
             "lane_loop.c",
             "run_call.c",

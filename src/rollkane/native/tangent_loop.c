@@ -16,7 +16,7 @@ static void push(const Way *way, const real *shared, const row *moved, real *y, 
                  real *shown) {
     real u[NUMBERS + 1];
     row v[ROWS + 1], unreached[N];
-    long output = 1;
+    long output = last_of(way, 0) + 1;
     prepare(shared, moved, u, v);
     show(shown, 0, dy);
     for (int c = 0; c < N; c++) unreached[c] = splat((real)NAN);
@@ -26,12 +26,14 @@ static void push(const Way *way, const real *shared, const row *moved, real *y, 
         const real s = way->sense;
         advance(s * step.begin, s * step.end, s * (step.end - step.begin), y, dy, shared,
                 moved, u, v);
-        if (output < way->output_count && shows(way, step, output))
+        if (output < way->output_count && shows(way, step, output)) {
+            output = last_of(way, output);
             show(shown, output++, dy);
+        }
     }
 }
 
-XLA_FFI_Error *called_by_xla(XLA_FFI_CallFrame *frame) {
+void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 3, 1, 3, 1, 0, 0, 1, 1};
     Call call;
     if (!received(frame, axes, 4, &call)) return NULL;

@@ -1,8 +1,62 @@
-/* What XLA hands over in a call. Before this text: XLA's c_api.h and rows.h.
+/* What XLA hands over in a call. Before this text: rows.h, and API_MAJOR and API_MINOR, the
+ * version of the installed interface.
+ *
+ * XLA's structures are declared here by their layout, which an API of one major version
+ * only appends to (each structure tells its size); the names in its header change from
+ * release to release. xla_call.py compares layouts with the installed header.
  *
  * Sizes that are no more than memory are read from the shapes of XLA's buffers. In a batch
  * each buffer has one more axis in front, of length one where all members share it.
  */
+
+typedef struct Extension {
+    size_t struct_size;
+    int type;
+    struct Extension *next;
+} Extension;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    int major_version, minor_version;
+} ApiVersion;
+
+typedef struct {
+    size_t struct_size;
+    ApiVersion api_version;
+} Metadata; /* its first fields */
+
+typedef struct {
+    Extension extension_base;
+    Metadata *metadata;
+} MetadataExtension;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    int dtype;
+    void *data;
+    int64_t rank;
+    int64_t *dims;
+} XlaBuffer;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    int64_t size;
+    int *types;
+    void **items;
+} XlaBuffers;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    const void *api, *context;
+    int stage;
+    XlaBuffers args, rets;
+} CallFrame; /* its first fields */
+
+enum { METADATA = 1 }; /* the type of an extension that asks for the version */
 
 typedef struct {
     const char *data;
@@ -45,25 +99,25 @@ static const real *member(const Call *call, int i, long b) {
 
 /* The buffers, in the order of XLA's call, with how many axes are their own and the first
  * result's; 0 where only the interface's version is asked. */
-static int received(XLA_FFI_CallFrame *frame, const int *axes, int result_axes, Call *call) {
-    XLA_FFI_Extension_Base *asked = frame->extension_start;
-    if (asked && asked->type == XLA_FFI_Extension_Metadata) {
-        XLA_FFI_Metadata *told = ((XLA_FFI_Metadata_Extension *)asked)->metadata;
-        told->api_version.struct_size = XLA_FFI_Api_Version_STRUCT_SIZE;
-        told->api_version.major_version = XLA_FFI_API_MAJOR;
-        told->api_version.minor_version = XLA_FFI_API_MINOR;
+static int received(const CallFrame *frame, const int *axes, int result_axes, Call *call) {
+    const Extension *asked = frame->extension_start;
+    if (asked && asked->type == METADATA) {
+        ApiVersion *told = &((const MetadataExtension *)asked)->metadata->api_version;
+        told->struct_size = sizeof *told;
+        told->major_version = API_MAJOR;
+        told->minor_version = API_MINOR;
         return 0;
     }
     for (int i = 0; i < frame->args.size; i++) {
-        const XLA_FFI_Buffer *b = frame->args.args[i];
+        const XlaBuffer *b = frame->args.items[i];
         call->given[i] = (Buffer){b->data, b->dims, b->rank - axes[i], axes[i]};
     }
-    const XLA_FFI_Buffer *result = frame->rets.rets[0];
+    const XlaBuffer *result = frame->rets.items[0];
     call->dims = result->dims;
     call->leads = result->rank - result_axes;
     call->batch = product(call->dims, call->leads);
     for (int i = 0; i < frame->rets.size; i++) {
-        result = frame->rets.rets[i];
+        result = frame->rets.items[i];
         call->results[i] = result->data;
         call->sizes[i] = product(result->dims + call->leads, result->rank - call->leads);
     }

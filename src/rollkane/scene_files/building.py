@@ -14,6 +14,7 @@ import numpy as np
 from ..bodies import Body
 from ..checks import FieldError
 from ..coordinates import State
+from ..integration import LOOSEST
 from ..modes import Modes
 from ..placement import place
 from ..scene import Base, Scene, Slipping, under
@@ -28,6 +29,7 @@ from ..surfaces import (
     Parametric,
     Plane,
     Revolution,
+    Ring,
     Sphere,
     Torus,
 )
@@ -48,6 +50,7 @@ _CATALOGUE = {
     "cylinder": Cylinder,
     "cone": Cone,
     "disc-edge": DiscEdge,
+    "ring": Ring,
 }
 # kind -> (constructor, its argument, fields with formulas, coordinates)
 _BY_FORMULA = {
@@ -147,9 +150,14 @@ def _check_tolerance(report: Report) -> None:
         return
     dtype = jnp.result_type(float)
     least = 10 * float(jnp.finfo(dtype).eps)
-    if not report.has_below(("run", "rtol")) and run["rtol"] < least:
+    if report.has_below(("run", "rtol")):
+        return
+    if run["rtol"] < least:
         problem = f"is below what {dtype} can hold"
         report.add(("run", "rtol"), problem, f"give {least:.1g} or more")
+    elif run["rtol"] > LOOSEST:
+        problem = f"is above {LOOSEST:g}: it leaves no digit of the motion right"
+        report.add(("run", "rtol"), problem, "give 1e-9 for instance")
 
 
 def _start(scene: Scene | None, report: Report) -> State | None:
@@ -168,6 +176,8 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         "angular_velocity": velocity,
         "contact_on_base": given.get("contact_on_base", (0.0, 0.0, 0.0)),
         "base_normal": given.get("base_normal"),
+        "near_on_body": given.get("near_on_body"),
+        "allow_overlap": given.get("allow_overlap", False),
     }
     still = np.zeros(0 if scene is None else scene.coordinate_count)
     arguments |= {name: given.get(name, still) for name in ("alpha", "alpha_dot")}
@@ -180,6 +190,7 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         where = Scene(Body(1.0, np.eye(3), Sphere(1.0)))
         scene = None
         arguments |= {"contact_on_base": (0.0, 0.0, 0.0), "base_normal": None}
+        arguments |= {"near_on_body": None, "allow_overlap": True}
         arguments |= {"alpha": (), "alpha_dot": (), "slip": None}
 
     def note(name: str, error: FieldError) -> None:

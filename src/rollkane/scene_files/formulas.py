@@ -205,7 +205,9 @@ def parse(
         raise FormulaError("cannot be read", "shorten it", 0) from error
     if sum(1 for _ in ast.walk(tree)) > _MOST_NODES:
         raise FormulaError("has too many terms", "shorten it", 0)
-    _Reader(one_line, lead, coordinates, parameters).check(tree)
+    reader = _Reader(one_line, lead, coordinates, parameters)
+    reader.check(tree)
+    reader.constant(tree)
     return tree
 
 
@@ -296,6 +298,52 @@ class _Reader:
                 node, f"gives {name} other than one argument", f"write {name}(...)"
             )
         self.check(node.args[0])
+
+    def constant(self, node: ast.AST) -> float | None:
+        """The value of a checked part that is the same everywhere; None: it is not.
+
+        Refuses what is not a finite real number: a root of a negative number, a
+        quotient by zero. (Of other parts JAX makes NaN at run time.)
+        """
+        match node:
+            case ast.Constant(value=int() | float() as value):
+                return float(value)
+            case ast.Name(id=name):
+                return CONSTANTS.get(name) if name not in self.parameters else None
+            case ast.UnaryOp():
+                parts = [node.operand]
+            case ast.BinOp():
+                parts = [node.left, node.right]
+            case ast.Call():
+                parts = list(node.args)
+            case _:
+                raise AssertionError(f"unchecked formula node {type(node).__name__}")
+        values = [x for x in map(self.constant, parts) if x is not None]
+        if len(values) < len(parts):
+            return None
+        try:
+            value = _of_constants(node, values)
+        except (ArithmeticError, ValueError):
+            value = math.nan
+        if isinstance(value, complex) or not math.isfinite(value):
+            text = ast.unparse(node)
+            self.refuse(
+                node,
+                f"holds {text}, which is not a finite real number",
+                "leave it out, or check its signs and brackets",
+            )
+        return value
+
+
+def _of_constants(node: ast.AST, values: list[float]) -> Any:
+    """An operation on numbers, as Python does it."""
+    if isinstance(node, ast.UnaryOp):
+        return -values[0] if isinstance(node.op, ast.USub) else values[0]
+    if isinstance(node, ast.BinOp):
+        return _OPERATORS[type(node.op)](*values)
+    assert isinstance(node, ast.Call)
+    name = getattr(node.func, "id", "")
+    return abs(values[0]) if name == "abs" else getattr(math, name)(values[0])
 
 
 def _evaluated(node: ast.AST, names: dict[str, Any]) -> Any:

@@ -107,14 +107,14 @@ class ModesTable(Table):
     )
     static_friction: float | None = Field(
         default=None,
-        description="that of sticking [1]; left out, the same as friction",
+        description="that of sticking [1], friction or more; left out, the same",
     )
     lifts: bool = Field(
         default=True, description="whether the contact ends where it would have to pull"
     )
     restitution: float | None = Field(
         default=None,
-        description="that of a landing [1], 0 or more; left out, nothing lands",
+        description="that of a landing [1], from 0 to 1; left out, nothing lands",
     )
     rest_speed: float = Field(
         default=1e-3,

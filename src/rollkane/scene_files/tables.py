@@ -87,10 +87,17 @@ class ConeTable(Table):
 
 
 class DiscEdgeTable(Table):
-    """The sharp rim of a disc in the plane z = 0, axis z."""
+    """The sharp rim of a thin solid disc in the plane z = 0, axis z."""
 
     kind: Literal["disc-edge"]
     radius: float = Field(description="the radius of the rim [m], positive")
+
+
+class RingTable(Table):
+    """A ring of thin wire in the plane z = 0, axis z."""
+
+    kind: Literal["ring"]
+    radius: float = Field(description="the radius of the ring [m], positive")
 
 
 class GraphTable(Table):
@@ -163,6 +170,7 @@ SURFACES: dict[str, type[Table]] = {
     "cylinder": CylinderTable,
     "cone": ConeTable,
     "disc-edge": DiscEdgeTable,
+    "ring": RingTable,
     "graph": GraphTable,
     "revolution": RevolutionTable,
     "parametric": ParametricTable,
@@ -177,6 +185,7 @@ Surface = Annotated[
     | CylinderTable
     | ConeTable
     | DiscEdgeTable
+    | RingTable
     | GraphTable
     | RevolutionTable
     | ParametricTable
@@ -253,6 +262,15 @@ class StartTable(Table):
         default=None,
         description="the base's outward normal there, only for a base with an edge [1]",
     )
+    near_on_body: Vector | None = Field(
+        default=None,
+        description="a point next to the contact on the body, body axes, where many "
+        "points have its normal, as of a ring that lies flat [m]",
+    )
+    allow_overlap: bool = Field(
+        default=False,
+        description="true to allow a body that is in its base elsewhere",
+    )
     alpha: list[float] | None = Field(
         default=None,
         description="a list of the coordinates of all that is supported; left out, "
@@ -275,6 +293,11 @@ class RunTable(Table):
     )
     atol: Positive | None = Field(
         default=None, description="the absolute tolerance of a step, such as 1e-11"
+    )
+    second_contact: bool = Field(
+        default=False,
+        description="true to end the run where the body touches its base at a second "
+        "place",
     )
 
 

@@ -1,4 +1,4 @@
-"""Surfaces by name: plane, sphere, ellipsoid, rim, torus, cylinder, cone.
+"""Surfaces by name: plane, sphere, ellipsoid, torus, cylinder.
 
 Lengths in metres, axes those of the body or of the base. ``inside=True`` turns the
 outward side round: the material is outside and the other body touches from within.
@@ -12,14 +12,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..checks import flag, is_traced, positive, real, refuse
-from ..geometry import LocalGeometry, from_height
+from ..geometry import LocalGeometry
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .kinds import (
-    AbstractNormalSurface,
-    AbstractPairSurface,
-    PointOfNormal,
-    longitude_latitude,
-)
+from .directions import PointOfNormal, longitude_latitude
+from .edges import in_plane
+from .kinds import AbstractNormalSurface, AbstractPairSurface
 
 Range = tuple[tuple[float, float], tuple[float, float]]
 
@@ -32,6 +29,7 @@ class Plane(AbstractPairSurface):
     """
 
     is_flat: ClassVar[bool] = True
+    is_bounded: ClassVar[bool] = False
 
     def __init__(self):
         """A plane has no parameters; place and tilt it by its owner's axes."""
@@ -70,6 +68,15 @@ class Plane(AbstractPairSurface):
         """The point's x and y [m]."""
         return point[:2]
 
+    @property
+    def is_convex(self) -> bool:
+        """True: a half-space."""
+        return True
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """The point's height [m]."""
+        return point[2]
+
 
 class Sphere(AbstractNormalSurface):
     """A sphere; ``inside=True`` is a spherical cavity.
@@ -107,6 +114,23 @@ class Sphere(AbstractNormalSurface):
         """Outward normal at the nearest point [1]."""
         offset = point - self.center
         return (-offset if self.inside else offset) / norm(offset)
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether it is solid."""
+        return not self.inside
+
+    @property
+    def hull(self):
+        """Whether a point is in the sphere, if that may be the whole body."""
+        if self.inside or np.any(np.asarray(self.center)):
+            return None
+        return lambda x: bool(np.linalg.norm(x) <= float(self.radius))
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface [m]."""
+        out = norm(point - self.center) - self.radius
+        return -out if self.inside else out
 
 
 class Ellipsoid(AbstractNormalSurface):
@@ -149,52 +173,31 @@ class Ellipsoid(AbstractNormalSurface):
         gradient = (point - self.center) / self.semi_axes**2
         return (-gradient if self.inside else gradient) / norm(gradient)
 
+    @property
+    def is_convex(self) -> bool:
+        """Whether it is solid."""
+        return not self.inside
+
+    @property
+    def hull(self):
+        """Whether a point is in the ellipsoid, if that may be the whole body."""
+        if self.inside or np.any(np.asarray(self.center)):
+            return None
+        return lambda x: bool(np.linalg.norm(x / np.asarray(self.semi_axes)) <= 1.0)
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface, of first order [m]."""
+        scaled = (point - self.center) / self.semi_axes
+        size, steepness = norm(scaled), norm(scaled / self.semi_axes)
+        at_center = steepness == 0.0
+        out = size * (size - 1.0) / jnp.where(at_center, 1.0, steepness)
+        out = jnp.where(at_center, -jnp.min(self.semi_axes), out)
+        return -out if self.inside else out
+
 
 def _known(x: Array):
     """A number for comparison, by NumPy where it is known."""
     return x if is_traced(x) else np.asarray(x)
-
-
-def _around_rim(major: Array, minor: Array | float, normal: Array) -> Array:
-    """Point with the given normal on the outer half of a torus; a rim for minor 0.
-
-    Free of trigonometry, and the same code for both (design, section 3).
-    """
-    n1, n2, n3 = components(normal)
-    stretch = major * inverse_sqrt(n1 * n1 + n2 * n2) + minor
-    return jnp.stack([n1 * stretch, n2 * stretch, n3 * minor])
-
-
-class DiscEdge(AbstractNormalSurface):
-    """The sharp circular rim of a disc in the plane z = 0, axis z.
-
-    Attributes:
-        radius: [m].
-    """
-
-    radius: Float[Array, ""]
-
-    def __init__(self, radius):
-        """Make a rim.
-
-        Args:
-            radius: [m], positive.
-
-        Raises:
-            FieldError: a radius that is not positive.
-        """
-        self.radius = positive("DiscEdge.radius", radius, (), "a length in metres")
-
-    def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Rim point below the normal's part in the plane of the disc [m]."""
-        n1, n2, _ = components(normal)
-        stretch = self.radius * inverse_sqrt(n1 * n1 + n2 * n2)
-        return jnp.stack([n1 * stretch, n2 * stretch, jnp.zeros_like(stretch)])
-
-    def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
-        """Normal in the plane of the disc; an edge has a fan of others."""
-        flat = point * jnp.array([1.0, 1.0, 0.0], point.dtype)
-        return flat / norm(flat)
 
 
 class Torus(AbstractPairSurface):
@@ -273,7 +276,25 @@ class Torus(AbstractPairSurface):
         """On a plane, the outer half by its normal; else None."""
         if not against_plane or self.inside:
             return None
-        return lambda normal: _around_rim(self.major_radius, self.minor_radius, normal)
+        return self._outer_point
+
+    def _outer_point(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Point with a normal on the outer half [m]; free of trigonometry."""
+        n1, n2, n3 = components(normal)
+        along = inverse_sqrt(n1 * n1 + n2 * n2)
+        stretch = self.major_radius * along + self.minor_radius
+        return jnp.stack([n1 * stretch, n2 * stretch, n3 * self.minor_radius])
+
+    def normal_heading(self, against_plane: bool):
+        """On a plane, the normal's part in the plane of the ring; else None."""
+        return None if self.normal_map(against_plane) is None else in_plane
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface [m]."""
+        x, y, z = components(point)
+        across = jnp.sqrt(x * x + y * y) - self.major_radius
+        out = jnp.sqrt(across * across + z * z) - self.minor_radius
+        return -out if self.inside else out
 
 
 class Cylinder(AbstractPairSurface):
@@ -286,6 +307,7 @@ class Cylinder(AbstractPairSurface):
         inside: Whether the other body touches from within.
     """
 
+    is_bounded: ClassVar[bool] = False
     radius: Float[Array, ""]
     inside: bool = eqx.field(static=True)
 
@@ -318,63 +340,21 @@ class Cylinder(AbstractPairSurface):
             [self.radius * jnp.cos(q[0]), self.radius * jnp.sin(q[0]), q[1]]
         )
 
+    def units(self, u: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The angle by radians, the way along the axis by the radius [m]."""
+        return jnp.stack([jnp.ones_like(u[0]), self.radius])
+
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
         """Angle [rad] and height [m] of the nearest point."""
         x, y, z = components(point)
         return jnp.stack([jnp.arctan2(y, x), z])
 
-
-class Cone(AbstractPairSurface):
-    """The cone z = slope * distance from the z axis; its tip cannot be touched.
-
-    Coordinates x and y [m].
-
-    Attributes:
-        slope: Rise over run [1]; negative for a tip that points up.
-        inside: True where the other body is above (material below), else it is below.
-    """
-
-    slope: Float[Array, ""]
-    inside: bool = eqx.field(static=True)
-
-    def __init__(self, slope, inside: bool = False):
-        """Make a cone.
-
-        Args:
-            slope: Rise over run [1], not zero.
-            inside: True where the other body is above.
-
-        Raises:
-            FieldError: slope zero, which is a plane.
-        """
-        slope = real("Cone.slope", slope, (), "rise over run")
-        self.slope = refuse(
-            slope,
-            lambda s: s == 0,
-            "Cone.slope",
-            "must not be zero",
-            "use Plane() for a flat surface",
-        )
-        self.inside = flag("Cone.inside", inside)
-
     @property
-    def orientation(self) -> float:
-        """d1 x d2 points up."""
-        return 1.0 if self.inside else -1.0
+    def is_convex(self) -> bool:
+        """Whether it is solid."""
+        return not self.inside
 
-    @property
-    def chart_domain(self) -> Range:
-        """A square of two metres round the tip, for searches and drawing [m]."""
-        return (-1.0, 1.0), (-1.0, 1.0)
-
-    def geometry(self, u: Float[Array, "2"]) -> LocalGeometry:
-        """Local geometry at (x, y), from the derivatives of the height alone."""
-        return from_height(lambda q: self.slope * norm(q), u, self.orientation)
-
-    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Point above or below (q1, q2) [m]."""
-        return jnp.concatenate([q, self.slope * norm(q)[None]])
-
-    def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
-        """The point's x and y [m]."""
-        return point[:2]
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface [m]."""
+        out = norm(point[:2]) - self.radius
+        return -out if self.inside else out

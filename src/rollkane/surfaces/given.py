@@ -11,17 +11,20 @@ from jaxtyping import Array, Float
 from ..checks import FieldError, flag, positive, real
 from ..geometry import LocalGeometry, from_chart, from_height, from_level_set, travel
 from ..rotations import tangent_pair
-from ..small_linear import dot, norm
+from ..small_linear import dot, inverse_sqrt, norm
 from ..user_function import UserFunction, check_output
-from .kinds import (
-    AbstractPairSurface,
-    AbstractPointSurface,
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
     direction_chart,
     direction_of,
     direction_rates,
+    grid_of,
+    grid_spacing,
     longitude_latitude,
     sphere_of_directions,
 )
+from .kinds import AbstractPairSurface, AbstractPointSurface
 
 Range = tuple[tuple[float, float], tuple[float, float]]
 
@@ -51,6 +54,7 @@ class Graph(AbstractPairSurface):
             which are drawn [m]; the surface goes on beyond.
     """
 
+    is_bounded: ClassVar[bool] = False
     f: UserFunction
     domain: Range = eqx.field(static=True)
 
@@ -91,6 +95,11 @@ class Graph(AbstractPairSurface):
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
         """The point's x and y [m]."""
         return point[:2]
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface, of first order [m]."""
+        height, slope = jax.value_and_grad(self.f)(point[:2])
+        return (point[2] - height) * inverse_sqrt(1.0 + dot(slope, slope))
 
 
 class Parametric(AbstractPointSurface):
@@ -159,6 +168,16 @@ class Parametric(AbstractPointSurface):
             return direction_chart(self.position, u, self._orientation)
         return from_chart(self.position, u, self._orientation, spin=False)
 
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """Position at a pair, or at a direction of any length [m]."""
+        return self.position(u / norm(u) if self.of_direction else u)
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """The pair or the direction beside."""
+        if not self.of_direction:
+            return u + x
+        return u + direction_rates(u, *tangent_pair(u / norm(u)), x)
+
     def coordinate_rates(
         self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, " k"]:
@@ -187,9 +206,39 @@ class Parametric(AbstractPointSurface):
     def samples(self) -> np.ndarray:
         """A grid of pairs, or directions over the sphere."""
         if self.of_direction:
-            return sphere_of_directions(400)
-        grids = [np.linspace(low, high, 31) for low, high in self.domain]
-        return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
+            return sphere_of_directions(SPHERE_SAMPLES)
+        return grid_of(self.domain)
+
+    def lattice(self) -> np.ndarray:
+        """The pairs in units of their spacing, or the directions."""
+        if self.of_direction:
+            return self.samples()
+        return grid_of(self.domain) / np.array(grid_spacing(self.domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of the pairs, or of the directions [rad]."""
+        if self.of_direction:
+            return SPHERE_SPACING, SPHERE_SPACING
+        return grid_spacing(self.domain)
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the nearest point found from the samples [m].
+
+        Infinite beyond the ends of the domain, where the surface is not closed.
+        """
+        u, place = self.nearest(point)
+        offset = point - place.position
+        out = jnp.copysign(norm(offset), dot(offset, place.normal))
+        if self.of_direction:
+            return out
+        beyond = jnp.asarray(False)
+        spacing = grid_spacing(self.domain)
+        for k, ((low, high), slack) in enumerate(
+            zip(self.domain, spacing, strict=True)
+        ):
+            beyond |= (u[k] < low - slack) | (u[k] > high + slack)
+        return jnp.where(beyond, jnp.inf, out)
 
 
 class Implicit(AbstractPointSurface):
@@ -238,6 +287,16 @@ class Implicit(AbstractPointSurface):
         """Local geometry at the surface point next to ``u``."""
         return from_level_set(self.f, self.onto(u))
 
+    def point(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The surface point next to ``u`` [m]."""
+        return self.onto(u)
+
+    def neighbour(self, u: Float[Array, "3"], x: Float[Array, "2"]) -> Array:
+        """The point beside, by lengths along any tangent pair [m]."""
+        slope = jax.grad(self.f)(u)
+        first, second = tangent_pair(slope / norm(slope))
+        return self.onto(u + x[0] * first + x[1] * second)
+
     def coordinate_rates(
         self, u: Float[Array, "3"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, "3"]:
@@ -270,8 +329,24 @@ class Implicit(AbstractPointSurface):
 
     def samples(self) -> Array:
         """Surface points along rays from the centre; needs known numbers."""
-        rays = jnp.asarray(sphere_of_directions(400), dtype=self.size.dtype)
+        rays = jnp.asarray(sphere_of_directions(SPHERE_SAMPLES), dtype=self.size.dtype)
         return jax.lax.stop_gradient(jax.vmap(self._along_ray)(rays))
+
+    def lattice(self) -> np.ndarray:
+        """The rays."""
+        return sphere_of_directions(SPHERE_SAMPLES)
+
+    @property
+    def spacing(self) -> tuple[Array, Array]:
+        """Of the surface points [m], as if they were as far as the surface reaches."""
+        return SPHERE_SPACING * self.size, SPHERE_SPACING * self.size
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface, of first order [m]."""
+        level, slope = jax.value_and_grad(self.f)(point)
+        steepness = dot(slope, slope)
+        level_set = level * inverse_sqrt(jnp.where(steepness == 0.0, 1.0, steepness))
+        return jnp.where(steepness == 0.0, jnp.sign(level) * self.size, level_set)
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         """The point, moved onto the surface [m]."""

@@ -7,7 +7,7 @@ other surface *carries its point*: its coordinates live on a manifold without po
 
 import abc
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -17,9 +17,18 @@ from jaxtyping import Array, Float
 
 from ..geometry import LocalGeometry, from_chart, from_normal
 from ..rotations import tangent_pair
-from ..small_linear import components, dot, norm, solve_2x2
-
-PointOfNormal = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+from ..small_linear import norm, solve_2x2
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
+    PointOfNormal,
+    direction_of,
+    direction_rates,
+    grid_of,
+    grid_spacing,
+    longitude_latitude,
+    sphere_of_directions,
+)
 
 
 class AbstractSurface(eqx.Module):
@@ -32,6 +41,7 @@ class AbstractSurface(eqx.Module):
 
     coordinate_count: eqx.AbstractClassVar[int]
     is_flat: ClassVar[bool] = False
+    is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
 
     @abc.abstractmethod
     def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
@@ -43,9 +53,21 @@ class AbstractSurface(eqx.Module):
     ) -> Float[Array, " k"]:
         """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
 
+    def units(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """What local coordinates are measured by: metres beside angles by a length."""
+        return jnp.ones(2, u.dtype)
+
     def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
         """Coordinates brought back to their manifold after a finite step."""
         return u
+
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """The point at coordinates ``u`` [m], without its geometry."""
+        return self.geometry(u).position
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """Coordinates of a point beside, by a finite step in local coordinates."""
+        return self.settled(u + self.coordinate_rates(u, self.geometry(u), x))
 
     @abc.abstractmethod
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
@@ -75,6 +97,66 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
         """Contact coordinates of the point with chart coordinates ``q``."""
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether the material is convex: two such bodies touch at one place only."""
+        return False
+
+    @property
+    def hull(self) -> Callable[[np.ndarray], bool] | None:
+        """Whether a point [m] is in the body's convex hull, by NumPy.
+
+        None: not known, as of a surface that may be a part of the body only (a foot).
+        """
+        return None
+
+    @property
+    @abc.abstractmethod
+    def spacing(self) -> tuple[Any, Any]:
+        """Distance of neighbouring samples, in the local coordinates."""
+
+    def lattice(self) -> np.ndarray:
+        """Numbers, one row for each sample, of which near ones belong to near samples.
+
+        So that neighbours are known without a value of the surface.
+        """
+        return np.asarray(self.samples())
+
+    def face_points(self) -> Float[Array, "n 3"] | None:
+        """Points of the body that its surface leaves out [m]; None: there are none."""
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
+        """Distance of a point from the surface [m], negative in the material.
+
+        Of first order near the surface, of the right sign everywhere; infinite where
+        the surface does not reach. None: it has no inside (a wire), or none is known.
+        """
+        del point
+
+    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
+        """Positive while a contact point is on the surface; None: it has no end.
+
+        A contact that comes to zero has come to a rim, a tip or a face.
+        """
+        del u
+
+    def chart_extent(self, q: Float[Array, "2"]) -> Float[Array, ""] | None:
+        """The same in chart coordinates."""
+        return self.extent(self.chart_inverse(q))
+
+    def normal_heading(
+        self, against_plane: bool
+    ) -> Callable[[Float[Array, "3"]], Float[Array, "2"]] | None:
+        """Of a surface given by its normal: a part of the normal that must not vanish.
+
+        Where it does, the inverse Gauss map jumps: a whole face or circle has that
+        normal. No step of a run may reverse it. None: the map is continuous.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
 
     def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
         """Chart coordinates where the outward normal is the given one.
@@ -111,6 +193,14 @@ class AbstractNormalSurface(AbstractSurface):
         """Local geometry where the outward normal is along ``u`` (any length)."""
         return from_normal(self.point_with_normal, u / norm(u))
 
+    def point(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point whose outward normal is along ``u`` [m]."""
+        return self.point_with_normal(u / norm(u))
+
+    def neighbour(self, u: Float[Array, "3"], x: Float[Array, "2"]) -> Array:
+        """The normal, turned by ``x`` along any tangent pair."""
+        return u + direction_rates(u, *tangent_pair(u / norm(u)), x)
+
     def coordinate_rates(
         self, u: Float[Array, "3"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, "3"]:
@@ -119,7 +209,12 @@ class AbstractNormalSurface(AbstractSurface):
 
     def samples(self) -> np.ndarray:
         """Normals spread over the sphere of directions."""
-        return sphere_of_directions(400)
+        return sphere_of_directions(SPHERE_SAMPLES)
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Turns of the normal [rad]."""
+        return SPHERE_SPACING, SPHERE_SPACING
 
     @property
     def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -164,19 +259,26 @@ class AbstractPointSurface(AbstractSurface):
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
-        seeds = jnp.asarray(self.samples(), dtype=point.dtype)
         fixed = jax.lax.stop_gradient(point)
-        gaps = jax.vmap(lambda u: norm(self.geometry(u).position - fixed))(seeds)
-        seed = seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
+        seed = self._nearest_sample(fixed)
+        return self._refine(seed, _step_to(fixed), _step_to(point))
 
-        def towards(target):
-            def gap(geometry):
-                offset = target - geometry.position
-                return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
+    def nearest(self, point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
+        """The nearest surface point about a point, by a few steps; no derivatives."""
+        point = jax.lax.stop_gradient(point)
+        step, longest = _step_to(point), self._search_step()
+        seed = self._nearest_sample(point)
+        advance = lambda u, _: (self._advanced(u, step, longest), None)
+        u, _ = jax.lax.scan(advance, seed, length=8)
+        # far from a bent surface the steps do not converge
+        gap = lambda u: norm(self.geometry(u).position - point)
+        u = jnp.where(gap(u) < gap(seed), u, seed)
+        return u, self.geometry(u)
 
-            return gap
-
-        return self._refine(seed, towards(fixed), towards(point))
+    def _nearest_sample(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        seeds = jnp.asarray(self.samples(), dtype=point.dtype)
+        gaps = jax.vmap(lambda u: norm(self.geometry(u).position - point))(seeds)
+        return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
 
     def find_normal(
         self, normal: Float[Array, "3"], near: Float[Array, "3"] | None = None
@@ -214,19 +316,19 @@ class AbstractPointSurface(AbstractSurface):
     def _refine(self, seed, step_to_fixed, step_to_moving) -> Array:
         """Newton steps from a seed; the last two carry the derivative."""
         longest = self._search_step()
-
-        def advance(u, step):
-            geometry = self.geometry(u)
-            x = step(geometry)
-            x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
-            x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
-            return self.settled(u + self.coordinate_rates(u, geometry, x))
-
-        u = jax.lax.fori_loop(0, 60, lambda _, u: advance(u, step_to_fixed), seed)
-        u = jax.lax.stop_gradient(u)
+        advance = lambda _, u: self._advanced(u, step_to_fixed, longest)
+        u = jax.lax.stop_gradient(jax.lax.fori_loop(0, 60, advance, seed))
         for _ in range(2):
-            u = advance(u, step_to_moving)
+            u = self._advanced(u, step_to_moving, longest)
         return u
+
+    def _advanced(self, u, step: Callable, longest) -> Array:
+        """Coordinates after one step of a search, which is cut to a length [m]."""
+        geometry = self.geometry(u)
+        x = step(geometry)
+        x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
+        x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
+        return self.settled(u + self.coordinate_rates(u, geometry, x))
 
     def _search_step(self) -> Float[Array, ""]:
         """Longest step of a search [m]: a tenth of the sampled extent."""
@@ -251,6 +353,14 @@ class AbstractPairSurface(AbstractPointSurface):
         """Local geometry in the chart, without spin rates."""
         return from_chart(self.chart, u, self.orientation, spin=False)
 
+    def point(self, u: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The chart's point [m]."""
+        return self.chart(u)
+
+    def neighbour(self, u: Float[Array, "2"], x: Float[Array, "2"]) -> Array:
+        """The pair beside."""
+        return u + x
+
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Local geometry in the chart, with ``spin_rates``."""
         return from_chart(self.chart, q, self.orientation)
@@ -272,51 +382,26 @@ class AbstractPairSurface(AbstractPointSurface):
 
     def samples(self) -> np.ndarray:
         """A grid over the chart's domain."""
-        grids = [np.linspace(low, high, 31) for low, high in self.chart_domain]
-        return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
+        return grid_of(self.chart_domain)
+
+    def lattice(self) -> np.ndarray:
+        """The grid in units of its spacing."""
+        return grid_of(self.chart_domain) / np.array(grid_spacing(self.chart_domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of the grid."""
+        return grid_spacing(self.chart_domain)
 
 
-def direction_of(q: Float[Array, "2"]) -> Float[Array, "3"]:
-    """Direction with longitude q1 and latitude q2 [rad]."""
-    c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
-    return jnp.stack([c2 * c1, c2 * s1, s2])
+def _step_to(target: Float[Array, "3"]) -> Callable[[LocalGeometry], Array]:
+    """The Gauss-Newton step along a surface towards the point next to a target."""
 
+    def step(geometry):
+        offset = target - geometry.position
+        return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
 
-def longitude_latitude(direction: Float[Array, "3"]) -> Float[Array, "2"]:
-    """Longitude and latitude [rad] of a direction of any length."""
-    x, y, z = components(direction)
-    return jnp.stack([jnp.arctan2(y, x), jnp.arctan2(z, jnp.sqrt(x * x + y * y))])
-
-
-def direction_rates(
-    u: Float[Array, "3"], t1: Float[Array, "3"], t2: Float[Array, "3"], x: Array
-) -> Float[Array, "3"]:
-    """Rates of a direction of any length that turns by ``x`` along t1 and t2."""
-    x1, x2 = components(x)
-    return norm(u) * (x1 * t1 + x2 * t2)
-
-
-def direction_chart(
-    position: PointOfNormal, u: Float[Array, "3"], orientation: float
-) -> LocalGeometry:
-    """Local geometry of a function of a direction, in turns along its tangent pair."""
-    direction = u / norm(u)
-    t1, t2 = tangent_pair(direction)
-
-    def local(x):
-        turned = direction + x[0] * t1 + x[1] * t2
-        return position(turned / jnp.sqrt(dot(turned, turned)))
-
-    return from_chart(local, jnp.zeros(2, u.dtype), orientation, spin=False)
-
-
-def sphere_of_directions(count: int) -> np.ndarray:
-    """Directions spread evenly (Fibonacci lattice), shape (count, 3)."""
-    k = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * k / count
-    angle = np.pi * (1.0 + 5.0**0.5) * k
-    r = np.sqrt(1.0 - z * z)
-    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    return step
 
 
 def _least_turn(matrix: Float[Array, "2 2"], turn: Float[Array, "2"]):

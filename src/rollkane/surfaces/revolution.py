@@ -11,10 +11,20 @@ from jaxtyping import Array, Float
 
 from ..checks import FieldError, flag, is_traced
 from ..geometry import LocalGeometry, from_chart
-from ..small_linear import components, norm
+from ..small_linear import components, dot, norm
 from ..user_function import UserFunction, check_output
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
+    direction_rates,
+    grid_of,
+    grid_spacing,
+    sphere_of_directions,
+)
 from .given import Range, domain_of
-from .kinds import AbstractPointSurface, direction_rates, sphere_of_directions
+from .kinds import AbstractPointSurface
+
+_DENSE = 257  # points of a meridian, where it is searched as a whole
 
 
 class _OnMeridian(NamedTuple):
@@ -71,14 +81,21 @@ class Revolution(AbstractPointSurface):
             domain: Range (first, last) of s; a meridian without poles goes on beyond.
             poles: Whether the radius vanishes at (first, last); found by evaluation
                 when left out.
-            rising: Whether the height grows from first to last; likewise.
+            rising: Whether the height grows from first to last; likewise, and of a
+                meridian that ends at the height at which it begins (a tube's cross
+                section) whether it goes anticlockwise in the plane of radius and
+                height.
             inside: The normal out of the material points away from the axis (a
                 hanging bowl's is its lower side); True turns it round, so that the
                 other body rolls within.
 
+        A contact that comes to the rim of a meridian with one pole (a cup) ends a run
+        with ``Code.SURFACE_EDGE``.
+
         Raises:
             FieldError: profile of another signature or result; ends of the meridian
-                that cannot be found because the parameters are traced.
+                that cannot be found because the parameters are traced; a meridian that
+                meets the axis in a tip, or whose outward side cannot be told.
         """
         self.profile = UserFunction("Revolution.profile", profile, 1, parameters)
         (self.domain,) = domain_of("Revolution.domain", domain, 1)
@@ -86,12 +103,13 @@ class Revolution(AbstractPointSurface):
         meridian = _meridian(self.profile)
         check_output("Revolution.profile", meridian, jnp.zeros(()), (2,))
         if poles is None or rising is None:
-            found_poles, found_rising = _ends(meridian, self.domain)
-            poles = found_poles if poles is None else poles
-            rising = found_rising if rising is None else rising
+            places = _sampled(meridian, self.domain)
+            poles = _found_poles(places) if poles is None else poles
+            rising = _found_rising(places) if rising is None else rising
         first, last = poles
         self.poles = flag("Revolution.poles", first), flag("Revolution.poles", last)
         self.rising = flag("Revolution.rising", rising)
+        _refuse_tips(meridian, self.domain, self.poles)
         self.coordinate_count = 3 if all(self.poles) else 2
 
     @property
@@ -164,11 +182,24 @@ class Revolution(AbstractPointSurface):
             frame_rates=jnp.stack([jnp.stack([w11, zero]), jnp.stack([zero, w22])]),
         )
 
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """The surface point at ``u`` [m]."""
+        place = self._place(u)
+        r, z = components(_meridian(self.profile)(place.s))
+        return jnp.stack([r * place.cosine, r * place.sine, z])
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """Coordinates beside, by steps along the meridian and round."""
+        return u + self._steps(u, x)
+
     def coordinate_rates(
         self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, " k"]:
         """Rates for steps along the meridian and along e2."""
         del geometry
+        return self._steps(u, x)
+
+    def _steps(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Float[Array, " k"]:
         if not any(self.poles):
             return jnp.stack([x[0], -self._side * x[1]])
         place = self._place(u)
@@ -181,18 +212,69 @@ class Revolution(AbstractPointSurface):
         east = jnp.concatenate([round_, jnp.zeros_like(z)[None]])
         return direction_rates(u, south, east, x)
 
+    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
+        """Of a meridian with one pole, how far its other end is; else None."""
+        if sum(self.poles) != 1:
+            return None
+        return self.domain[1] - self.domain[0] - norm(u)
+
     def samples(self) -> np.ndarray:
         """Coordinates over the whole domain of the meridian and once round."""
         if all(self.poles):
-            return sphere_of_directions(400)
-        s, angle = np.meshgrid(
-            np.linspace(*self.domain, 31), np.linspace(-np.pi, np.pi, 32)[:-1]
-        )
-        s, angle = s.ravel(), angle.ravel()
+            return sphere_of_directions(SPHERE_SAMPLES)
+        s, angle = grid_of(self.chart_domain).T
         if not any(self.poles):
             return np.stack([s, angle], axis=1)
         r = s - self.domain[0] if self.poles[0] else self.domain[1] - s
         return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
+
+    def lattice(self) -> np.ndarray:
+        """Directions, or the pairs in units of their spacing."""
+        if all(self.poles):
+            return self.samples()
+        return grid_of(self.chart_domain) / np.array(grid_spacing(self.chart_domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of parameter and angle, or of directions [rad]."""
+        if all(self.poles):
+            return SPHERE_SPACING, SPHERE_SPACING
+        along, around = grid_spacing(self.chart_domain)
+        if not any(self.poles):
+            return along, around
+        return along, around * (self.domain[1] - self.domain[0])
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the nearest point of the meridian [m].
+
+        Infinite beyond an end of the meridian that is no pole.
+        """
+        target = jnp.stack([norm(point[:2]), point[2]])
+        first, last = self.domain
+        meridian = _meridian(self.profile)
+        seeds = jnp.linspace(first, last, _DENSE, dtype=point.dtype)
+        places = jax.vmap(meridian)(seeds)
+        gaps = jax.vmap(lambda place: norm(place - target))(places)
+        longest = (last - first) / (_DENSE - 1)
+
+        def slope(s):
+            return jax.jvp(meridian, (s,), (jnp.ones_like(s),))
+
+        def advance(s, _):
+            (place, along), (_, bend) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+            square, left = dot(along, along), target - place
+            curved = square - dot(left, bend)  # not positive far from the surface
+            curved = jnp.where(curved > 0.1 * square, curved, square)
+            return s + jnp.clip(dot(left, along) / curved, -longest, longest), None
+
+        s, _ = jax.lax.scan(advance, seeds[jnp.nanargmin(gaps)], length=6)
+        place, (r_1, z_1) = slope(s)
+        away, up = components(target - place)
+        out = self._side * (away * z_1 - up * r_1)
+        out = jnp.copysign(norm(target - place), out)
+        closed = norm(places[0] - places[-1]) < 1e-6 * jnp.max(jnp.abs(places))
+        beyond = (s < first) & (not self.poles[0]) | (s > last) & (not self.poles[1])
+        return jnp.where(beyond & ~closed, jnp.inf, out)
 
     @property
     def chart_domain(self) -> Range:
@@ -250,9 +332,9 @@ def _meridian(profile: UserFunction) -> Callable[[Array], Array]:
     return meridian
 
 
-def _ends(meridian, domain) -> tuple[tuple[bool, bool], bool]:
-    """Which ends are poles, and whether the meridian rises, by evaluation."""
-    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], 65))
+def _sampled(meridian, domain) -> np.ndarray:
+    """Points of the meridian, shape (n, 2)."""
+    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], _DENSE))
     if is_traced(places):
         raise FieldError(
             "Revolution.poles",
@@ -260,7 +342,58 @@ def _ends(meridian, domain) -> tuple[tuple[bool, bool], bool]:
             "cannot be found while the profile's parameters are traced",
             "give poles=(first, last) and rising= yourself",
         )
-    radius, height = np.asarray(places).T
-    near = 1e-6 * np.max(np.abs(radius))  # far below any real hole, above rounding
-    poles = bool(abs(radius[0]) < near), bool(abs(radius[-1]) < near)
-    return poles, bool(height[-1] >= height[0])
+    return np.asarray(places)
+
+
+def _found_poles(places: np.ndarray) -> tuple[bool, bool]:
+    """Which ends of a meridian are poles."""
+    radius = np.abs(places[:, 0])
+    near = 1e-6 * np.max(radius)  # far below any real hole, above rounding
+    return bool(radius[0] < near), bool(radius[-1] < near)
+
+
+def _found_rising(places: np.ndarray) -> bool:
+    """Whether a meridian rises; one that is closed, whether it goes anticlockwise.
+
+    The area on its left, between it and the axis or the line between its ends, is
+    ``int r dz``: positive where the outward side is the right one.
+    """
+    radius, height = places.T
+    size = max(np.ptp(radius), np.ptp(height))
+    rise = height[-1] - height[0]
+    if abs(rise) > 1e-6 * size:
+        return bool(rise > 0)
+    between = radius - min(radius[0], radius[-1])  # an offset changes nothing
+    area = np.sum(0.5 * (between[1:] + between[:-1]) * np.diff(height))
+    if not abs(area) > 1e-6 * size * size:
+        raise FieldError(
+            "Revolution.rising",
+            None,
+            "cannot be found: the meridian ends at the height at which it begins, and "
+            "encloses nothing",
+            "give rising=True or rising=False: the outward normal of a meridian that "
+            "rises points away from the axis, and True turns it likewise",
+        )
+    return bool(area > 0)
+
+
+def _refuse_tips(meridian, domain, poles) -> None:
+    """Refuse a known meridian that does not meet the axis at a right angle."""
+    for s, is_pole in zip(domain, poles, strict=True):
+        if not is_pole:
+            continue
+        s = jnp.asarray(s)
+        _, slope = jax.jvp(meridian, (s,), (jnp.ones_like(s),))
+        if is_traced(slope):
+            continue
+        r_1, z_1 = np.asarray(slope, float)
+        # a thousandth of a radian is no rounding
+        if not abs(z_1) <= 1e-3 * abs(r_1):
+            raise FieldError(
+                "Revolution.profile",
+                (float(r_1), float(z_1)),
+                f"does not meet the axis at a right angle at s = {float(s):g}, where "
+                "radius and height change at these rates",
+                "round the tip off, let the radius grow in proportion to s there, use "
+                "Cone, or end the domain off the axis with poles=(False, False)",
+            )
