@@ -1,37 +1,51 @@
-# Each target sets up what it needs: a virtual environment in .venv, from python3.
+# Each target sets up what it needs: a virtual environment in .venv, from python3 or
+# what PYTHON names; another version of it makes the environment anew.
 PYTHON ?= python3
-BIN := .venv/bin
+VENV ?= .venv
+BIN := $(VENV)/bin
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d.%d" % sys.version_info[:3])')
+MADE := $(VENV)/.python-$(VERSION)
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# What depends on releases of Python and JAX: the call interface and the native loop,
+# derivatives, ensembles, the house, the command line.
+RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gradients.py \
+	tests/physics/test_ensemble.py tests/unit/test_call_interface.py \
+	tests/unit/test_native.py tests/unit/test_cache.py tests/unit/test_cli.py \
+	tests/unit/test_impossible_numbers.py
 
-.PHONY: demo test test-all lint format bench bench-peers accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-peers accuracy growth compiling stability docs clean
 
-demo: .venv/.installed
+demo: $(VENV)/.installed
 	@mkdir -p out
 	$(BIN)/rollkane simulate rattleback --out out/rattleback.nc --plot out/rattleback.png \
 		--path out/rattleback_path.png --view out/rattleback.html
 
-test: .venv/.installed
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow"
+test: $(VENV)/.installed
+	$(PYTEST) -m "not slow"
 
-test-all: .venv/.installed
-	$(BIN)/python -m pytest -n 2 --dist worksteal
+test-all: $(VENV)/.installed
+	$(PYTEST)
 
-lint: .venv/.dev
+test-releases: $(VENV)/.installed
+	$(PYTEST) -m "not slow" $(RELEASES)
+
+lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-format: .venv/.dev
+format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: .venv/.bench
+bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/single.py --out benchmarks/results
 	$(BIN)/python benchmarks/effects.py --out benchmarks/results
 	$(BIN)/python benchmarks/laws.py --out benchmarks/results
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 
-bench-peers: .venv/.bench .venv-mujoco/.installed .venv-exudyn/.installed
+bench-peers: $(VENV)/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 	$(BIN)/python benchmarks/compare.py --out benchmarks/results
 
 # a peer that cannot be installed is skipped by name
@@ -39,40 +53,42 @@ bench-peers: .venv/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
 		--disable-pip-version-check numpy $* && touch $@
 
-accuracy: .venv/.bench
+accuracy: $(VENV)/.bench
 	$(BIN)/python benchmarks/accuracy.py --out benchmarks/results
 
-growth: .venv/.bench
+growth: $(VENV)/.bench
 	$(BIN)/python benchmarks/growth.py --out benchmarks/results
 
-compiling: .venv/.bench
+compiling: $(VENV)/.bench
 	$(BIN)/python benchmarks/compiling.py --out benchmarks/results
 
-stability: .venv/.bench
+stability: $(VENV)/.bench
 	$(BIN)/python benchmarks/stability.py --out benchmarks/results
+	$(BIN)/python benchmarks/scales.py --out benchmarks/results
 
-docs: .venv/.docs
+docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf .venv .venv-mujoco .venv-exudyn out site build dist
+	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn out site build dist
 
-.venv/bin/python:
-	$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
-	$(PYTHON) -m venv .venv
+$(MADE):
+	@$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
 
-.venv/.installed: .venv/bin/python pyproject.toml constraints.txt
+$(VENV)/.installed: $(MADE) pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
 	@touch $@
 
-.venv/.dev: .venv/.installed
+$(VENV)/.dev: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	@touch $@
 
-.venv/.bench: .venv/.installed
+$(VENV)/.bench: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
 	@touch $@
 
-.venv/.docs: .venv/.installed
+$(VENV)/.docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	@touch $@
