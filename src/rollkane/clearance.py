@@ -25,6 +25,7 @@ from .small_linear import matvec, matvec_transposed, norm
 from .surfaces import AbstractSurface, Parametric, Revolution
 
 _LOWEST = 8  # local minima of the samples that are searched further
+_NEAREST = 4  # of those of a body in flight, which Newton's method improves
 _NEAR = 8  # neighbours of a sample
 _ROUNDS, _SHRINK = 12, 0.4  # to 2e-5 of the samples' distance: 1e-10 of its gap
 _AT_ONCE = 64  # samples evaluated together: memory is theirs
@@ -65,26 +66,67 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
         t: Time [s].
         state: In contact or in flight.
     """
+    body = scene.body.surface
+    found = []
+    for surface, level, on_base, searched in _sides(scene, t, state):
+        gap, place = _lowest(surface, level, searched)
+        found.append((gap, on_base(place)))
+        faces = surface.face_points() if surface is body else None
+        if faces is not None:
+            gap, place = _least_of(level, faces)
+            found.append((gap, on_base(place)))
+    gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
+    least = jnp.argmin(gaps)
+    return Clearance(gaps[least], places[least], reach_of(body, gaps.dtype))
+
+
+def reach_of(body: AbstractSurface, dtype: Any) -> Float[Array, ""]:
+    """How far a body reaches from its origin [m], by samples of its surface.
+
+    Args:
+        body: Its surface.
+        dtype: Of the length.
+    """
+    points = body_points(body, dtype)
+    return jnp.max(jax.vmap(norm)(jnp.where(jnp.isfinite(points), points, 0.0)))
+
+
+def lowest_places(
+    scene: Scene, t: Float[Array, ""], state: Any
+) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
+    """Where samples of the surfaces are nearest to each other, not searched further.
+
+    Args:
+        scene: One of which :func:`may_touch_twice` is true.
+        t: Time [s].
+        state: In contact or in flight.
+
+    Returns:
+        Gaps [m], infinite where there are fewer places; the places [m], base axes.
+    """
+    found = [
+        (gaps, jax.vmap(on_base)(jax.vmap(surface.point)(u)))
+        for surface, level, on_base, searched in _sides(scene, t, state)
+        for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
+    ]
+    gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))
+    return gaps, places
+
+
+def _sides(scene: Scene, t, state):
+    """Surfaces to look along: with the other's level, and a way to base axes."""
     body, base = scene.body.surface, scene.base.surface
     to_base, origin = _pose(scene, t, state)
     placed = lambda x: origin + matvec(to_base, x)
     back = lambda x: matvec_transposed(to_base, x - origin)
-    points = body_points(body, origin.dtype)
-    size = jnp.max(jax.vmap(norm)(jnp.where(jnp.isfinite(points), points, 0.0)))
-    found = []
+    sides = []
     if _has_inside(base):
         level = lambda x: base.signed_distance(placed(x))
-        found.append(_lowest(body, level, origin.dtype, _is_searched(base)))
-        faces = body.face_points()
-        if faces is not None:
-            found.append(_least_of(level, faces))
-        found = [(gap, placed(place)) for gap, place in found]
+        sides.append((body, level, placed, _is_searched(base)))
     if _has_inside(body) and not base.is_flat:
         level = lambda x: body.signed_distance(back(x))
-        found.append(_lowest(base, level, origin.dtype, _is_searched(body)))
-    gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
-    least = jnp.argmin(gaps)
-    return Clearance(gaps[least], places[least], size)
+        sides.append((base, level, lambda x: x, _is_searched(body)))
+    return sides
 
 
 def _is_searched(surface: AbstractSurface) -> bool:
@@ -143,17 +185,19 @@ def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
     return body_to_base(rotation_matrix(state.orientation), moving), place
 
 
-def _lowest(surface: AbstractSurface, level: Callable, dtype: Any, searched: bool):
-    """The least level of a surface's points, and the point that has it.
+def _candidates(surface: AbstractSurface, level: Callable, count: int, searched: bool):
+    """Levels and coordinates of the samples with the lowest levels around them.
 
     Args:
-        surface: Whose points.
+        surface: Whose samples.
         level: Of a point [m].
-        dtype: Of the coordinates.
+        count: How many, at most.
         searched: Whether the level takes a search over samples of its own.
+
+    Returns:
+        Levels, infinite where there are fewer; coordinates; the level at coordinates.
     """
-    samples = jnp.asarray(surface.samples(), dtype)
-    spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
+    samples = jnp.asarray(surface.samples(), jnp.result_type(float))
 
     def value(u):
         return _known(level(surface.point(u)))
@@ -162,7 +206,21 @@ def _lowest(surface: AbstractSurface, level: Callable, dtype: Any, searched: boo
     values = each(value, samples) if searched else jax.vmap(value)(samples)
     near = _neighbours(surface.lattice())
     local = values <= jnp.min(values[near], axis=1)
-    _, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), _LOWEST)
+    lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
+    return -lowest, samples[chosen], value
+
+
+def _lowest(surface: AbstractSurface, level: Callable, searched: bool):
+    """The least level of a surface's points, and the point that has it.
+
+    Args:
+        surface: Whose points.
+        level: Of a point [m].
+        searched: Whether the level takes a search over samples of its own.
+    """
+    _, chosen, value = _candidates(surface, level, _LOWEST, searched)
+    dtype = chosen.dtype
+    spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
     ticks = np.linspace(-1.0, 1.0, 5)
     star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
 
@@ -178,7 +236,7 @@ def _lowest(surface: AbstractSurface, level: Callable, dtype: Any, searched: boo
         (u, _), _ = jax.lax.scan(narrow, start, length=_ROUNDS)
         return value(u), surface.point(u)
 
-    gaps, places = jax.vmap(lower)(samples[chosen])
+    gaps, places = jax.vmap(lower)(chosen)
     best = jnp.argmin(gaps)
     return gaps[best], places[best]
 

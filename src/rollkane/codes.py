@@ -25,6 +25,7 @@ class Code:
     BAD_SCENE = 8
     SURFACE_EDGE = 9
     SECOND_CONTACT = 10
+    INCONSISTENT_IMPACT = 11
 
 
 _REASONS = {
@@ -52,6 +53,9 @@ _REASONS = {
     "look at final_time and final_state",
     Code.SECOND_CONTACT: "the body reached the base at a second place; look at "
     "final_time and final_state, or leave out second_contact to go on through it",
+    Code.INCONSISTENT_IMPACT: "Newton's restitution with friction has no impulse for "
+    "this impact that pushes, acts against the slip and adds no energy: use "
+    'Modes(impact="energetic")',
 }
 
 NO_FAULT = -1

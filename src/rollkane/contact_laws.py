@@ -118,7 +118,8 @@ def accelerations(
     if isinstance(law, RubberRolling):
         pushes.append(_against_spin(contact, len(system.rows)))
     if resisting is not None:
-        pushes.append(_by_normal_force(scene, contact, system, resisting, []))
+        push = _by_normal_force(scene, contact, system, resisting, [])
+        pushes.append(push._replace(one_sided=law.one_sided))
     if not pushes:
         return _parted(solve_spd(system.rows, system.rhs))
     x, multipliers, margin = _solve(system.rows, system.rhs, pushes)
@@ -133,7 +134,7 @@ class _Push(NamedTuple):
     """A force of unknown size z, and the condition ``row . x + own z = value``.
 
     ``force`` and ``row`` have one entry for each acceleration; ``signed`` says that z
-    is a normal force, whose friction acts with its size.
+    is a normal force, whose friction acts with its size, but for ``one_sided``.
     """
 
     force: list[Array]
@@ -141,6 +142,7 @@ class _Push(NamedTuple):
     own: float
     value: Array
     signed: bool
+    one_sided: bool = False
 
 
 def _against_spin(contact: Contact, count: int) -> _Push:
@@ -188,8 +190,9 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
         x, margin, moment = solve_spd(rows, rhs), None, None
     else:
         along = [zero, zero] if ratio is None else [dot(ratio, e) for e in pair]
-        pushes = [_by_normal_force(scene, contact, system, resisting, along)]
-        x, (N,), margin = _solve(rows, rhs, pushes)
+        push = _by_normal_force(scene, contact, system, resisting, along)
+        push = push._replace(one_sided=friction.one_sided)
+        x, (N,), margin = _solve(rows, rhs, [push])
         moment = None if resisting is None else N * resisting
     slid = x[-2] * pair[0] + x[-1] * pair[1]
     solution = _parted(x[:-2])
@@ -285,18 +288,23 @@ def _solve(rows, rhs, pushes: list[_Push]):
         return [(left[0] - b * N) / a, N], top, margin
 
     sizes, top, margin = sized(1.0)
+    with_size = [push.signed and not push.one_sided for push in pushes]
     if not any(push.signed for push in pushes):
         margin = None
     else:
-        other, _, other_margin = sized(-1.0)
-        pulls = top < 0.0
-        margin = jnp.where(pulls, other_margin, margin)
+        other = sizes
+        pulls = jnp.asarray(False)
+        if any(with_size):
+            other, _, other_margin = sized(-1.0)
+            pulls = top < 0.0
+            margin = jnp.where(pulls, other_margin, margin)
         sizes = [
             jnp.where(margin > 0.0, jnp.where(pulls, b, a), jnp.nan)
             for a, b in zip(sizes, other, strict=True)
         ]
     effective = [
-        jnp.abs(z) if push.signed else z for z, push in zip(sizes, pushes, strict=True)
+        jnp.abs(z) if by_size else z
+        for z, by_size in zip(sizes, with_size, strict=True)
     ]
     x = list(bare)
     for z, answer in zip(effective, answers, strict=True):

@@ -27,6 +27,14 @@ class AbstractFriction(eqx.Module):
         """Whether a part of it is proportional to the normal force."""
         return True
 
+    @property
+    def one_sided(self) -> bool:
+        """Whether it goes with the sign of the normal force, not with its size.
+
+        Smoothly through its zero, for a run that ends the contact there.
+        """
+        return False
+
     @abc.abstractmethod
     def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"] | None:
         """Force for each newton of normal force [1], against the slip; None: none.

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float, PyTree
 from .coordinates import pack, unpack
 from .mode_changes import Motion, Step
 from .modes import HybridState, ModedState, Switches
+from .small_linear import dot
 
 
 class Path(NamedTuple):
@@ -99,7 +100,7 @@ class Record(NamedTuple):
         steps: A row for each: where it ended [s], where the next one began [s], which
             event it ended on, or -1, which output it ended on, or 0; NaN where there
             was none, shape (N, 4).
-        turns: A row for each event, from :func:`turning`, shape (S, 1 + n).
+        turns: A row for each event, from :func:`turning`, shape (S, 7 + n).
         kept: Where the run was before each step.
     """
 
@@ -114,7 +115,7 @@ class Record(NamedTuple):
         many = lambda x: jnp.zeros((steps, *x.shape), x.dtype)
         return Record(
             jnp.full((steps, 4), jnp.nan, dtype),
-            jnp.zeros((switches, 1 + size), dtype),
+            jnp.zeros((switches, 7 + size), dtype),
             jax.tree.map(many, begun),
         )
 
@@ -139,16 +140,30 @@ class Record(NamedTuple):
 
 
 def turning(motion: Motion, mode, direction, t0, t, end: Step, kind) -> Array:
-    """How an event's time follows its value [s per unit], then the rates there.
+    """How an event's time follows what it depends on, then the rates there.
 
-    With them the time moves by one Newton step, of value zero; not where the event
-    only grazes its zero. They are constants to a first derivative.
+    Its value [s per unit]; of a slip that ends, the slip itself [s per m/s], shape
+    (3,), and its last direction [1], shape (3,). With them the time moves by one Newton
+    step, of value zero; not where the event only grazes its zero. They are constants to
+    a first derivative.
     """
-    slopes, rates = motion.slopes(mode, direction, t, end)
-    slope = slopes[kind]
+    of_values, of_state = motion.slopes(mode, direction, t, end)
+    slope = of_values[kind]
     inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
     grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - t0)
-    return jnp.append(jnp.where(grazes, 0.0, inverse), pack(rates))
+    inverse = jnp.where(grazes, 0.0, inverse)
+    none = jnp.zeros_like(direction)
+
+    def slides():
+        s, rates = motion.last_of_slip(direction, t, end.y)
+        a = rates.slip
+        squared = dot(a, a)
+        way = a / jnp.where(squared > 0.0, squared, 1.0)
+        return jnp.zeros_like(inverse), way, s, pack(rates)
+
+    other = lambda: (inverse, none, none, pack(of_state))
+    inverse, way, s, rates = jax.lax.cond(motion.ends_slip(mode, kind), slides, other)
+    return jnp.concatenate([inverse[None], way, s, rates])
 
 
 def replayed(motion: Motion, mode, y, times, record: Record):
@@ -199,9 +214,14 @@ def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Pla
     kind = kind.astype(int)
 
     def passed():
-        value = step.values[kind]
-        shift = -(value - jax.lax.stop_gradient(value)) * turn[0]
-        y = unpack(pack(step.y) + shift * turn[1:], step.y)
+        slides = motion.ends_slip(mode, kind)
+        inverse, way, s, rates = turn[0], turn[1:4], turn[4:7], turn[7:]
+        straight = motion.straightened(s, landed, step.y)
+        y = jax.tree.map(lambda a, b: jnp.where(slides, a, b), straight, step.y)
+        value, slip = step.values[kind], y.slip
+        shift = -(value - jax.lax.stop_gradient(value)) * inverse
+        shift = shift - dot(slip - jax.lax.stop_gradient(slip), way)
+        y = unpack(pack(y) + shift * rates, y)
         t = landed + shift
         return t, *motion.changed(mode, kind, direction, t, y)
 

@@ -27,6 +27,9 @@ class Mode:
     FLYING = 2
 
 
+IMPACT_LAWS = ("energetic", "newton")
+
+
 class Modes(eqx.Module):
     """How a run may change between rolling, slipping and flight.
 
@@ -36,6 +39,7 @@ class Modes(eqx.Module):
         lifts: Whether the contact ends where it would have to pull.
         restitution: Of a landing [1]; None: nothing lands.
         rest_speed: Slower rebounds stay in contact [m/s].
+        impact: Law of restitution, ``"energetic"`` or ``"newton"``.
         switches: How many changes are kept; a run with more ends.
         contact: How it rolls, where it rolls: that of the scene that is simulated.
     """
@@ -47,6 +51,7 @@ class Modes(eqx.Module):
     rest_speed: Float[Array, ""]
     lifts: bool = eqx.field(static=True)
     switches: int = eqx.field(static=True)
+    impact: str = eqx.field(static=True)
 
     def __init__(
         self,
@@ -56,6 +61,7 @@ class Modes(eqx.Module):
         restitution=None,
         rest_speed=1e-3,
         switches: int = 64,
+        impact: str = "energetic",
     ):
         """Make a choice.
 
@@ -67,12 +73,21 @@ class Modes(eqx.Module):
             lifts: Whether the contact ends where it would have to pull.
             restitution: Of a landing [1], from 0 to 1: none can give energy; None:
                 nothing lands.
-            rest_speed: Rebounds slower than this stay in contact [m/s], positive.
+            rest_speed: Rebounds slower than this stay in contact [m/s], positive: so
+                ever smaller ones come to their end.
             switches: How many changes are kept; a run with more ends.
+            impact: What the restitution is of. ``"energetic"`` (Stronge): its square is
+                the share of the work of compression that is given back; sliding and
+                sticking follow the growing impulse (Routh), which pushes, lies in the
+                friction cone and takes energy whatever the body. ``"newton"``: the
+                ratio of the normal velocities, friction acting along the slip before
+                the impact; a run ends with ``Code.INCONSISTENT_IMPACT`` where that
+                would pull, turn the slip against its friction, or add energy. Of a ball
+                whose mass centre is in its middle both are the same.
 
         Raises:
             FieldError: negative numbers, a restitution above one, sticking that holds
-                less than sliding.
+                less than sliding, an unknown law.
         """
         self.contact = Rolling()
         self.friction = self.static_friction = self.restitution = None
@@ -107,6 +122,10 @@ class Modes(eqx.Module):
         self.lifts = flag("Modes.lifts", lifts)
         remedy = "give how many changes are to be kept"
         self.switches = whole("Modes.switches", switches, 1, remedy)
+        if impact not in IMPACT_LAWS:
+            known = f"use one of {IMPACT_LAWS}"
+            raise FieldError("Modes.impact", impact, "is not known", known)
+        self.impact = impact
 
     @property
     def does_work(self) -> bool:
@@ -127,12 +146,21 @@ class _Directed(AbstractFriction):
 
     coefficient: Array
     direction: Array
+    lifts: bool = eqx.field(static=True)
+
+    @property
+    def one_sided(self) -> bool:
+        return self.lifts
 
     def ratio(self, slip):
-        moved = slip + SMALLEST_SLIP * self.direction
-        squared = dot(moved, moved)  # zero in a lane that does not slip
-        size = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
-        return -self.coefficient * moved / size
+        return -self.coefficient * last_way(slip, self.direction)
+
+
+def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
+    """Direction of a slip that may vanish [1]; ``direction``: what it was."""
+    moved = slip + SMALLEST_SLIP * direction
+    squared = dot(moved, moved)  # zero in a lane that does not slip
+    return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
 
 
 class HybridState(State):
@@ -175,13 +203,15 @@ def in_modes(scene: Scene) -> Scenes:
     """A scene whose contact is ``Modes``, as it rolls and as it flies."""
     assert isinstance(scene.contact, Modes)
     kept = tuple(load for load in scene.loads if not load.needs_contact)
-    return Scenes(under(scene, scene.contact.contact), under(scene, Flying(), kept))
+    law = type(scene.contact.contact)(one_sided=scene.contact.lifts)
+    return Scenes(under(scene, law), under(scene, Flying(), kept))
 
 
 def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
-    """The scene as it slips; direction of the slip on fixed axes [1]."""
+    """A scene that rolls, as it slips; direction of the slip on fixed axes [1]."""
+    assert isinstance(scene.contact, Rolling)
     own = matvec_transposed(rotation_matrix(state.orientation), direction)
-    return under(scene, Slipping(_Directed(mu, own)))
+    return under(scene, Slipping(_Directed(mu, own, scene.contact.one_sided)))
 
 
 class ModedState(eqx.Module):
@@ -232,7 +262,8 @@ def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
         found = [observable(scenes.rolling, t, y.rolling())]
         slips = found[0]
         if modes.friction is not None:
-            slides = slipping(scene, modes.friction, state.direction, y)
+            way = modes.friction, state.direction
+            slides = slipping(scenes.rolling, *way, y)
             slips = observable(slides, t, y.sliding())
         found += [slips, observable(scenes.flying, t, y.flying())]
         pick = lambda *values: jnp.select(

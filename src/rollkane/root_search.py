@@ -1,4 +1,4 @@
-"""Search for the end of a step that is an event: a bracketing secant (Illinois)."""
+"""Search for a step that ends on an event: by Newton or secants within a bracket."""
 
 from typing import NamedTuple
 
@@ -7,42 +7,45 @@ from jaxtyping import Array
 
 
 class Bracket(NamedTuple):
-    """Steps on both sides of an event.
+    """Steps on both sides of an event, and the next to try.
 
     Attributes:
         low: One that ends before it [s].
         high: One that ends behind it [s].
-        at_low: The event's value there, over that at the beginning.
-        at_high: The same.
+        trial: Next try [s].
+        last: The last one tried [s].
+        value: Of the event at its end.
+        off: By how much it ends behind the event, about [s].
     """
 
     low: Array
     high: Array
-    at_low: Array
-    at_high: Array
+    trial: Array
+    last: Array
+    value: Array
+    off: Array
 
-    @property
-    def trial(self) -> Array:
-        """Next try [s]: a secant, with a bisection as its guard."""
-        rise = self.at_low / (self.at_low - self.at_high)
-        secant = self.low + (self.high - self.low) * rise
-        inside = (secant > self.low) & (secant < self.high)
-        return jnp.where(inside, secant, 0.5 * (self.low + self.high))
+    def after(self, begins, taken, value, rate, exact) -> "Bracket":
+        """With what a tried step found.
 
-    def after(self, searching, begins, taken, value) -> "Bracket":
-        """With what a tried step found; a side that stays is halved.
+        The next try is Newton's, a secant's where the rate is not exact, or the middle.
 
         Args:
-            searching: Whether the search was on.
-            begins: Whether it begins with this step.
+            begins: Whether the search begins with this step.
             taken: Length of the step [s].
-            value: Of the event at its end, over that at the beginning.
+            value: Of the event at its end.
+            rate: Of the value there.
+            exact: Whether the rate is more than a guess.
         """
-        hit = searching & ~(value >= 0.0)  # what is not known lies behind
-        miss = searching & (value >= 0.0)
-        low = jnp.where(miss, taken, jnp.where(begins, 0.0, self.low))
-        high = jnp.where(hit | begins, taken, self.high)
-        at_low = jnp.where(miss, value, jnp.where(begins, 1.0, self.at_low))
-        at_high = jnp.where(hit | begins, value, self.at_high)
-        at_low = jnp.where(hit, 0.5 * at_low, at_low)
-        return Bracket(low, high, at_low, jnp.where(miss, 0.5 * at_high, at_high))
+        low = jnp.where(begins, 0.0, self.low)
+        misses = value >= 0.0
+        low = jnp.where(misses, taken, low)
+        high = jnp.where(misses, self.high, taken)  # what is not known lies behind
+        apart = taken - self.last
+        slope = (value - self.value) / jnp.where(apart == 0.0, 1.0, apart)
+        slope = jnp.where(begins | exact | (apart == 0.0), rate, slope)
+        off = value / jnp.where(slope == 0.0, 1.0, slope)
+        trial = taken - off
+        inside = (trial > low) & (trial < high)
+        trial = jnp.where(inside, trial, 0.5 * (low + high))
+        return Bracket(low, high, trial, taken, value, off)

@@ -18,7 +18,13 @@ class Rolling(eqx.Module):
     """Contact law: rolling without slipping, turning about the normal allowed.
 
     Bilateral: a motion that pulls runs on, and the result says when that began.
+
+    Attributes:
+        one_sided: Whether dry resistance goes with the sign of the normal force, not
+            its size: smoothly through its zero, for a run that ends the contact there.
     """
+
+    one_sided: bool = eqx.field(static=True, default=False, kw_only=True)
 
     @property
     def does_work(self) -> bool:
@@ -30,6 +36,9 @@ class RubberRolling(Rolling):
     """Contact law: rolling without slipping and without turning about the normal.
 
     Relative to the base; a spin about the normal in a start is left out.
+
+    Attributes:
+        one_sided: As of ``Rolling``.
 
     Source: theory, section 8.2.
     """

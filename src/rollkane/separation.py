@@ -1,4 +1,4 @@
-"""Bodies apart: the gap between body and base, and what an impact changes."""
+"""Bodies apart: the gap between body and base, and how it closes."""
 
 from typing import Any
 
@@ -8,16 +8,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .checks import real, refuse
+from .clearance import lowest_places, may_touch_twice, reach_of
 from .contact import body_to_base
-from .contact_laws import impulse_response
 from .coordinates import FlyingState, SlidingState, shared_parts
-from .mass_matrix import assemble
 from .one_call import for_one_call
 from .rolling import contact_of
 from .rotations import rotation_matrix
 from .scene import Scene
 from .small_linear import (
-    components,
     cross,
     dot,
     matmul,
@@ -25,12 +23,13 @@ from .small_linear import (
     matvec_transposed,
     norm,
     solve_2x2,
-    solve_spd,
 )
 
-# Newton steps from the last nearest points: their error squares each time, so that
-# half a radian is below rounding
-_NEWTON = 6
+# Newton steps to the nearest points, most: their error squares each time
+_NEWTON = 16
+# Of the size of what is compared, where the search has ended: it ends no closer where
+# rounding does not let it
+_CLOSE = 64
 
 
 def nearest(
@@ -43,12 +42,93 @@ def nearest(
         t: Time [s].
         state: Its contact coordinates are where the search begins.
 
-    The gap is the distance along the base's normal, less than zero in the base. Where
-    there are several nearest points, the ones next to the start are followed.
+    The gap is the distance along the base's normal, less than zero in the base; NaN
+    where the search did not converge. Where there are several nearest points, the ones
+    next to the start are followed.
     """
-    improve = lambda state, _: (_improved(scene, t, state), None)
-    state, _ = jax.lax.scan(improve, state, length=_NEWTON)
-    return _apart(scene, t, state, jnp.zeros(_unknowns(scene)))[1], state
+    fixed = jax.lax.stop_gradient((scene, t, state))
+    begun = fixed[2]
+    size = 1.0 + norm(begun.position)
+    close = _CLOSE * jnp.finfo(size.dtype).eps * size
+
+    def going(carry):
+        count, _, left = carry
+        return (count < _NEWTON) & (left > close)
+
+    def improve(carry):
+        count, state, _ = carry
+        return count + 1, *_improved(*fixed[:2], state)
+
+    carry = jnp.asarray(0), begun, jnp.full_like(close, jnp.inf)
+    _, found, left = jax.lax.while_loop(going, improve, carry)
+    # one step more has the derivative of the points, by the implicit function
+    state, _ = _improved(scene, t, eqx.tree_at(_places, state, _places(found)))
+    gap = _apart(scene, t, state, _none(scene, state))[1]
+    double = close.dtype == jnp.float64
+    converged = left <= (1e-9 if double else 1e-4) * size
+    return jnp.where(converged, gap, jnp.nan), state
+
+
+def nearest_anywhere(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], FlyingState]:
+    """The same of the whole surfaces, where they may touch at several places.
+
+    The search begins where samples of both surfaces are nearest
+    (:func:`rollkane.clearance.lowest_places`), wherever the state's coordinates are.
+    """
+    if not may_touch_twice(scene):
+        return nearest(scene, t, state)
+    fixed = jax.lax.stop_gradient((scene, t, state))
+    gaps, starts = lowest_places(*fixed)
+    base, body = fixed[0].base.surface, fixed[0].body.surface
+
+    def begun(place):
+        on_body = fixed[2].contact_on_body
+        if scene.carries_point:
+            on_body = body.locate(on_body_axes(*fixed, place))
+        return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
+
+    found, closest = jax.vmap(lambda place: nearest(*fixed[:2], begun(place)))(starts)
+    # far from an uneven base Newton's method may go astray: there the samples will do
+    size = reach_of(body, gaps.dtype)
+    strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
+    best = jnp.argmin(jnp.where(strays, gaps, found))
+    place = jax.tree.map(lambda x: x[best], _places(closest))
+    gap, closest = nearest(scene, t, eqx.tree_at(_places, state, place))
+    return jnp.where(strays[best], gaps[best], gap), closest
+
+
+def _places(state: FlyingState) -> tuple[Array, Array]:
+    return state.contact_on_base, state.contact_on_body
+
+
+def closing(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """How fast the gap opens at the nearest points, and how fast it could close.
+
+    Args:
+        scene: What flies over what.
+        t: Time [s].
+        state: With its nearest points.
+
+    Returns:
+        Rate of the gap [m/s]; speed of the body's origin over the base [m/s]; length of
+        the angular velocity relative to it [rad/s].
+    """
+    moving, place, to_base = _placed(scene, t, state)
+    ground, point = _points(scene, state, to_base)
+    w, v = state.angular_velocity, state.velocity
+    if moving is not None:
+        v = moving.to_base(v)
+        pushed = moving.velocity_at(place)
+        v = v if pushed is None else v - pushed
+    spin = matvec(to_base, w)
+    if moving is not None and moving.angular_velocity is not None:
+        spin = spin - moving.angular_velocity
+    moved = v + cross(spin, matvec(to_base, point))
+    return dot(ground.frame[:, 2], moved), norm(v), norm(spin)
 
 
 def release(
@@ -123,20 +203,24 @@ def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
     state = FlyingState(e, spin, on_base, on_body, a, a_dot, r, v)
     from_far = lambda state, _: (nearest(scene, t, state)[1], None)
     state, _ = jax.lax.scan(from_far, state, length=4)
-    return nearest(scene, t, state)
+    return nearest_anywhere(scene, t, state)
 
 
 def _unknowns(scene: Scene) -> int:
     return 4 if scene.carries_point else 2
 
 
-def _improved(scene: Scene, t, state: FlyingState) -> FlyingState:
-    rest = jnp.zeros(_unknowns(scene), state.position.dtype)
+def _none(scene: Scene, state: FlyingState) -> Array:
+    return jnp.zeros(_unknowns(scene), state.position.dtype)
+
+
+def _improved(scene: Scene, t, state: FlyingState) -> tuple[FlyingState, Array]:
+    """After a Newton step, and the largest of what was left before it."""
+    rest = _none(scene, state)
     left = _apart(scene, t, state, rest)[0]
     slope = jax.jacfwd(lambda x: _apart(scene, t, state, x)[0])(rest)
-    if left.shape[0] == 2:
-        return _moved(scene, state, -solve_2x2(slope, left))
-    return _moved(scene, state, -_solve_by_points(slope, left))
+    solve = solve_2x2 if left.shape[0] == 2 else _solve_by_points
+    return _moved(scene, state, -solve(slope, left)), jnp.max(jnp.abs(left))
 
 
 def _solve_by_points(slope, left) -> Float[Array, "4"]:
@@ -158,30 +242,50 @@ def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
         shell = body.geometry(on_body)
         on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
     places = base.settled(on_base), body.settled(on_body)
-    return eqx.tree_at(lambda s: (s.contact_on_base, s.contact_on_body), state, places)
+    return eqx.tree_at(_places, state, places)
 
 
-def _apart(scene: Scene, t, state: FlyingState, x):
-    """How far the points are from being nearest, and their distance [m]."""
-    state = _moved(scene, state, x)
-    motion, base, body = scene.base.motion, scene.base.surface, scene.body.surface
+def _placed(scene: Scene, t, state: FlyingState):
+    """Motion of the base, origin of the body on its axes [m], and body to base axes."""
+    motion = scene.base.motion
     moving = None if motion is None else motion.at(t)
     place = state.position
     if moving is not None:
         origin = 0.0 if moving.position is None else moving.position
         place = moving.to_base(place - origin)
-    to_base = body_to_base(rotation_matrix(state.orientation), moving)
+    return moving, place, body_to_base(rotation_matrix(state.orientation), moving)
+
+
+def on_body_axes(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, point: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """A point on base axes [m], on those of the body in flight."""
+    _, place, to_base = _placed(scene, t, state)
+    return matvec_transposed(to_base, point - place)
+
+
+def _points(scene: Scene, state: FlyingState, to_base):
+    """The base at its nearest point, and the body's nearest point [m], body axes."""
+    base, body = scene.base.surface, scene.body.surface
     ground = base.geometry(state.contact_on_base)
+    if scene.carries_point:
+        return ground, body.point(state.contact_on_body)
+    of_normal = body.normal_map(base.is_flat)
+    assert of_normal is not None
+    return ground, of_normal(-matvec_transposed(to_base, ground.frame[:, 2]))
+
+
+def _apart(scene: Scene, t, state: FlyingState, x):
+    """How far the points are from being nearest, and their distance [m]."""
+    state = _moved(scene, state, x)
+    _, place, to_base = _placed(scene, t, state)
+    ground, point = _points(scene, state, to_base)
     first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
     aligned = []
     if scene.carries_point:
-        shell = body.geometry(state.contact_on_body)
-        point, normal = shell.position, matvec(to_base, shell.frame[:, 2])
+        shell = scene.body.surface.geometry(state.contact_on_body)
+        normal = matvec(to_base, shell.frame[:, 2])
         aligned = [dot(normal, first), dot(normal, second)]
-    else:
-        of_normal = body.normal_map(base.is_flat)
-        assert of_normal is not None
-        point = of_normal(-matvec_transposed(to_base, out))
     across = place + matvec(to_base, point) - ground.position
     left = [dot(first, across), dot(second, across), *aligned]
     return jnp.stack(left), dot(out, across)
@@ -199,75 +303,3 @@ def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingS
     return FlyingState(
         **parts, position=contact.position, velocity=matvec(contact.rotation, v)
     )
-
-
-def impact(
-    scene: Scene,
-    t: Float[Array, ""],
-    state: FlyingState,
-    restitution: Float[Array, ""],
-    friction: Float[Array, ""],
-    rest_speed: Float[Array, ""],
-) -> tuple[FlyingState, SlidingState, Float[Array, ""]]:
-    """The states after a body has hit its base: in flight, or in contact.
-
-    The normal velocity is reversed, times the restitution (Newton); the impulse along
-    the surface ends the slip if the friction coefficient allows, else it acts against
-    the slip with its limit (Coulomb).
-
-    Args:
-        scene: With a slipping contact.
-        t: Time [s].
-        state: At the impact, with the nearest points touching.
-        restitution: [1].
-        friction: [1].
-        rest_speed: What would rebound slower than this stays in contact [m/s].
-
-    Returns:
-        The state in flight, the state in contact, and the speed of the rebound [m/s]:
-        zero where it stays in contact.
-    """
-    touching = _in_contact(scene, t, state)
-    contact = contact_of(scene, t, touching)
-    system = assemble(scene, t, touching, contact)
-    G, others = impulse_response(scene, contact, system)
-    N, U = contact.normal, _approach(state, contact)
-    speed = dot(U, N)  # towards the base
-    rebound = restitution * speed
-    rebound = jnp.where(rebound < rest_speed, 0.0, rebound)
-    change = -(speed + rebound) * N
-    slip = U - speed * N
-    rows = [components(row) for row in components(G)]
-    sticking = jnp.stack(solve_spd(rows, components(change - slip)))
-    push = -dot(sticking, N)
-    along = sticking + push * N
-    size = norm(jnp.where(dot(slip, slip) > 0.0, slip, N))
-    direction = slip / size
-    limit = -(N + friction * direction)
-    limited = (speed + rebound) / -dot(N, matvec(G, limit)) * limit
-    sticks = dot(along, along) <= (friction * push) ** 2
-    J = jnp.where(sticks, sticking, limited)
-    jump = matvec(others, J)
-    after = U + matvec(G, J)
-    w, alpha_dot = state.angular_velocity + jump[:3], state.alpha_dot + jump[3:]
-    parts = shared_parts(state) | {"angular_velocity": w, "alpha_dot": alpha_dot}
-    j = contact.base_velocity
-    v = after - cross(w, contact.body_point)
-    v = v if j is None else v + j
-    R = contact.rotation
-    flying = FlyingState(**parts, position=contact.position, velocity=matvec(R, v))
-    slid = after - N * dot(after, N)
-    slid = jnp.where(sticks, 0.0, slid)
-    return flying, SlidingState(**parts, slip=matvec(R, slid)), rebound
-
-
-def _in_contact(scene: Scene, t, state: FlyingState) -> SlidingState:
-    return SlidingState(**shared_parts(state), slip=jnp.zeros_like(state.velocity))
-
-
-def _approach(state: FlyingState, contact) -> Float[Array, "3"]:
-    """Velocity of the body's nearest point over the base [m/s], body axes."""
-    v = matvec_transposed(contact.rotation, state.velocity)
-    v = v + cross(state.angular_velocity, contact.body_point)
-    j = contact.base_velocity
-    return v if j is None else v - j

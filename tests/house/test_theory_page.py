@@ -19,14 +19,22 @@ def test_the_table_is_read():
 
 
 def test_every_numbered_equation_has_a_row():
-    cited = {
-        number
-        for equation, *_ in ROWS
-        for number in re.findall(r"\((\d\.\d+)\)", equation)
-    }
     # (1.17) writes derivatives of vectors out by components: automatic here
     expected = {f"1.{k}" for k in range(1, 17)} | {f"2.{k}" for k in range(1, 11)}
-    assert cited == expected
+    # those of this page's own
+    own = set(re.findall(r"^    \((7\.\d+)\)", PAGE, re.M))
+    assert own == {f"7.{k}" for k in range(1, 11)}
+    cited = [number for equation, *_ in ROWS for number in numbers_of(equation)]
+    assert set(cited) == expected | own
+
+
+def numbers_of(equation: str) -> list[str]:
+    """Numbers of equations, those of "(7.5) to (7.9)" one by one."""
+    between = re.fullmatch(r"\((\d)\.(\d+)\) to \(\1\.(\d+)\)", equation)
+    if between:
+        part, first, last = between.groups()
+        return [f"{part}.{k}" for k in range(int(first), int(last) + 1)]
+    return re.findall(r"\((\d\.\d+)\)", equation)
 
 
 @pytest.mark.parametrize(("equation", "name", "path", "test"), ROWS)

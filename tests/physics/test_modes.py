@@ -410,3 +410,59 @@ def test_too_many_bounces_end_with_a_code():
     assert "switches" in run.reason
     assert run.switches.count >= 3
     assert 0.0 < run.final_time < 4.0
+
+
+def test_a_contact_that_may_pull_is_held_by_friction():
+    """``lifts=False``: friction has the size of the force, whichever way it acts.
+
+    A ball on a plate that falls at 2 g rests on it: pulled by m g, with nothing along.
+    """
+    falls = rk.BaseMotion(lambda t: jnp.stack([0.0 * t, 0.0 * t, -G * t * t]))
+    scene = rk.Scene(BALL, rk.Base(rk.Plane(), falls))
+    start = rk.place(scene, UP, STILL, STILL)
+    modes = rk.Modes(friction=0.3, lifts=False)
+    run = rk.simulate(scene, start, [0.0, 0.3], modes=modes, rtol=1e-9)
+    assert run.succeeded
+    assert run.switches.count == 0
+    # 1e-12 of m g: the solution of a system of six, rounded
+    np.testing.assert_allclose(run.normal_force, -MASS * G, rtol=1e-12)
+
+
+def test_outputs_right_behind_a_landing():
+    """One, three and a hundred numbers of the clock behind it: the run goes on.
+
+    Times of the clock near 0.32 s are 5.6e-17 s apart; outputs closer than a hundred
+    roundings are one.
+    """
+    h, e = 0.5, 0.8
+    start = rk.release(LANE, UP, STILL, (0.0, 0.0, h + R), STILL)
+    modes = rk.Modes(friction=0.3, restitution=e)
+    run = jax.jit(lambda t: rk.simulate(LANE, start, t, modes=modes, rtol=1e-10))
+    first = run(jnp.array([0.0, 0.4])).switches.time[0]
+    for numbers in (1, 3, 100):
+        at = float(first)
+        for _ in range(numbers):
+            at = np.nextafter(at, 1.0)
+        found = run(jnp.array([0.0, at]))
+        assert found.code == rk.Code.COMPLETED
+        # it has turned: up by e times the speed of the fall, to the clock's 1e-14 s
+        rises = found.state.parts.velocity[-1, 2]
+        np.testing.assert_allclose(rises, e * np.sqrt(2.0 * G * h), rtol=1e-10)
+
+
+def test_an_inconsistent_impact_by_newton_ends_with_a_code():
+    """A slow slip of a rod's tip: Newton's friction would turn it, and still push on."""
+    rod = rk.Body(1.0, np.diag([1 / 3, 1e-3, 1 / 3]), rk.Sphere(0.01, (0, -1.0, 0)))
+    tilted = (np.cos(0.45), np.sin(0.45), 0.0, 0.0)
+    scene = rk.Scene(rod)
+    below = -np.sin(0.9) - 0.01
+    for law, code in (
+        ("newton", rk.Code.INCONSISTENT_IMPACT),
+        ("energetic", rk.Code.COMPLETED),
+    ):
+        start = rk.release(
+            scene, tilted, STILL, (0.0, 0.0, 0.05 - below), (0.0, 0.2, 0.0)
+        )
+        modes = rk.Modes(friction=0.3, restitution=0.9, impact=law)
+        run = rk.simulate(scene, start, [0.0, 0.12], modes=modes)
+        assert run.code == code, (law, run.reason)

@@ -123,6 +123,11 @@ class ModesTable(Table):
     switches: int = Field(
         default=64, ge=1, description="how many changes are kept, 1 or more"
     )
+    impact: Literal["energetic", "newton"] = Field(
+        default="energetic",
+        description="what the restitution is of: the energy of compression, or the "
+        "normal velocity",
+    )
 
 
 LOADS: dict[str, type[Table]] = {
