@@ -15,7 +15,7 @@ from .checks import FieldError, flag, not_negative, positive, refuse, whole
 from .coordinates import FlyingState, SlidingState, State, shared_parts
 from .friction import AbstractFriction
 from .rotations import rotation_matrix
-from .scene import Flying, Rolling, Scene, Slipping, under
+from .scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
 from .small_linear import dot, matvec_transposed
 
 
@@ -163,6 +163,22 @@ def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
     return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
 
 
+class _RollingThatLifts(Rolling):
+    """Rolling, in a run that ends the contact where it would pull."""
+
+    @property
+    def one_sided(self) -> bool:
+        return True
+
+
+class _RubberThatLifts(RubberRolling):
+    """Without spin about the normal, too."""
+
+    @property
+    def one_sided(self) -> bool:
+        return True
+
+
 class HybridState(State):
     """A state that can be in every mode; what the mode does not use stands still."""
 
@@ -203,7 +219,10 @@ def in_modes(scene: Scene) -> Scenes:
     """A scene whose contact is ``Modes``, as it rolls and as it flies."""
     assert isinstance(scene.contact, Modes)
     kept = tuple(load for load in scene.loads if not load.needs_contact)
-    law = type(scene.contact.contact)(one_sided=scene.contact.lifts)
+    law = scene.contact.contact
+    if scene.contact.lifts:
+        rubber = isinstance(law, RubberRolling)
+        law = _RubberThatLifts() if rubber else _RollingThatLifts()
     return Scenes(under(scene, law), under(scene, Flying(), kept))
 
 

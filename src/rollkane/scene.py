@@ -18,13 +18,15 @@ class Rolling(eqx.Module):
     """Contact law: rolling without slipping, turning about the normal allowed.
 
     Bilateral: a motion that pulls runs on, and the result says when that began.
-
-    Attributes:
-        one_sided: Whether dry resistance goes with the sign of the normal force, not
-            its size: smoothly through its zero, for a run that ends the contact there.
     """
 
-    one_sided: bool = eqx.field(static=True, default=False, kw_only=True)
+    @property
+    def one_sided(self) -> bool:
+        """Whether dry resistance goes with the sign of the normal force, not its size.
+
+        Smoothly through its zero, for a run that ends the contact there.
+        """
+        return False
 
     @property
     def does_work(self) -> bool:
@@ -36,9 +38,6 @@ class RubberRolling(Rolling):
     """Contact law: rolling without slipping and without turning about the normal.
 
     Relative to the base; a spin about the normal in a start is left out.
-
-    Attributes:
-        one_sided: As of ``Rolling``.
 
     Source: theory, section 8.2.
     """

@@ -16,8 +16,6 @@ import pytest
 
 import rollkane as rk
 
-from ..quick import slow_but
-
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 INERTIA = 0.01 * np.array([[1.0, 0.1, 0.05], [0.1, 1.4, -0.08], [0.05, -0.08, 1.2]])
 STEP = 1e-3
@@ -112,7 +110,23 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", slow_but({"a grip that curves"}, CASES))
+def test_the_end_of_a_slip_that_curves():
+    """By the friction alone, forwards: the others, and reverse, take minutes."""
+    at = jnp.array(CASES["a grip that curves"].at)
+    value = jax.jit(lambda mu: seen(grips(at.at[0].set(mu))))
+    mu, one = at[0], jnp.ones_like(at[0])
+    found = np.asarray(jax.jit(lambda m: jax.jvp(value, (m,), (one,))[1])(mu))
+    difference = lambda h: (value(mu + h) - value(mu - h)) / (2.0 * h)
+    h = STEP * float(mu)
+    expected = np.asarray((4.0 * difference(0.5 * h) - difference(h)) / 3.0)
+    assert np.abs(expected).max() > 1.0
+    largest = np.abs(expected[2:]).max()  # of velocities and places; behind it the time
+    assert np.abs(found - expected)[0] < DIFFERS * np.abs(expected[0])
+    assert (np.abs(found - expected) < DIFFERS * largest).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
 def test_derivatives_through_changes(name):
     run, at, changes = CASES[name]
     at = jnp.array(at)

@@ -451,7 +451,7 @@ def test_outputs_right_behind_a_landing():
 
 
 def test_an_inconsistent_impact_by_newton_ends_with_a_code():
-    """A slow slip of a rod's tip: Newton's friction would turn it, and still push on."""
+    """A slow slip of a rod's tip: Newton's friction would turn it and push on."""
     rod = rk.Body(1.0, np.diag([1 / 3, 1e-3, 1 / 3]), rk.Sphere(0.01, (0, -1.0, 0)))
     tilted = (np.cos(0.45), np.sin(0.45), 0.0, 0.0)
     scene = rk.Scene(rod)
