@@ -1,11 +1,11 @@
 """What it costs to miss no change of the contact: steps and time of runs with modes.
 
-    python benchmarks/contact_changes.py [--before CHECKOUT] [--out FOLDER] [--repeats N]
+    python benchmarks/contact_changes.py [--before CHECKOUT] [--out FOLDER]
 
 Flights, bounces, slides and rolling with ``modes``: accepted and rejected steps,
 changes found, and the time of a compiled run; with ``--before`` the same by the library
-of another checkout, in a process of its own. Prints a table, writes it as JSON and draws
-the steps.
+of another checkout, in a process of its own. Prints a table, writes it as JSON and
+draws the steps.
 """
 
 import argparse
@@ -174,7 +174,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--before", type=Path)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
-    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--repeats", type=int, default=31)
     options = parser.parse_args()
     machine = f"{platform.machine()}, {os.cpu_count()} cores, jax {jax.__version__}"
     print(f"{machine}, rtol 1e-9, median of {options.repeats} runs")

@@ -100,8 +100,7 @@ def between(nodes: Float[Array, " s"], seen: Float[Array, "s k"], end: int) -> D
     bound = bound + slack[None]
     # what one value lacks is measured by what it was
     lowest = jnp.min(bound / jnp.where(largest > 0.0, largest, 1.0)[None], axis=1)
-    near = ~stays_positive(jnp.min(seen, axis=0), jnp.max(seen, axis=0))
-    hides = near & ~jnp.all(bound > 0.0)
+    hides = ~jnp.all(bound > 0.0)
     return Doubt(hides, theta[jnp.argmin(lowest)], jnp.full_like(theta[0], jnp.inf))
 
 

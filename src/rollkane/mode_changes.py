@@ -86,35 +86,35 @@ class Motion(eqx.Module):
         start, h = pack(y), t1 - t
         tableau = self.tableau
         count = tableau.nodes.shape[0]
-        weights, nodes = tableau.rows, tableau.nodes
-        if watched:
-            weights = jnp.concatenate([weights, _beside_ends(tableau)])
-            nodes = self.nodes
+        weights = jnp.concatenate([tableau.rows, _beside_ends(tableau)])
+        nodes = self.nodes
 
-        def stage(carry, row):
-            weights, node, number = row
-            known, _, low, high = carry
-            at = start + h * matvec(known.T, weights)
-            time = jnp.where(number == count - 1, t1, t + node * h)
-            is_stage = number < count
-            see = lambda: self.at(mode, direction, time, unpack(at, y))
-            if watched:
-                blind = lambda: (jax.tree.map(jnp.zeros_like, y), high)
-                wanted = is_stage | ~stays_positive(low, high)
-                rates, values = jax.lax.cond(wanted, see, blind)
-            else:
-                rates, values = see()
+        def look(carry):
+            number, known, end, seen = carry
+            at = start + h * matvec(known.T, weights[number])
+            time = jnp.where(number == count - 1, t1, t + nodes[number] * h)
+            rates, values = self.at(mode, direction, time, unpack(at, y))
             pushed = jnp.roll(known, -1, axis=0).at[-1].set(pack(rates))
+            is_stage = number < count
             known = jnp.where(is_stage, pushed, known)
-            low, high = jnp.minimum(low, values), jnp.maximum(high, values)
-            ends = known, jnp.where(is_stage, at, carry[1]), low, high
-            return ends, values
+            end = jnp.where(is_stage, at, end)
+            return number + 1, known, end, seen.at[number].set(values)
 
         known = jnp.zeros((count, start.shape[0]), start.dtype)
-        none = jnp.full(2, jnp.inf, start.dtype)
-        rows = weights, nodes, jnp.arange(nodes.shape[0])
-        carry = known, start, none, -none
-        (known, end, *_), seen = jax.lax.scan(stage, carry, rows)
+        unseen = jnp.zeros((nodes.shape[0], 2), start.dtype)
+        carry = jnp.asarray(0), known, start, unseen
+        if watched:
+
+            def going(carry):
+                number, *_, seen = carry
+                stages = seen[:count]
+                far = stays_positive(jnp.min(stages, axis=0), jnp.max(stages, axis=0))
+                return (number < count) | ((number < nodes.shape[0]) & ~far)
+
+            _, known, end, seen = jax.lax.while_loop(going, look, carry)
+        else:
+            step = lambda carry, _: (look(carry), None)
+            (_, known, end, seen), _ = jax.lax.scan(step, carry, length=count)
         error = h * matvec(known.T, tableau.error)
         end = unpack(end, y)
         values, end = self.with_gap(mode, t1, end, seen[count - 1])

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from .codes import Code
 from .coordinates import pack, unpack
 from .flight_watch import doubt_in_flight
-from .hidden_events import Doubt, between, rate_at_end
+from .hidden_events import Doubt, between, rate_at_end, stays_positive
 from .mode_changes import Motion, Step
 from .mode_replay import Path, Place, Record, turning
 from .modes import SMALLEST_SLIP, HybridState, Mode
@@ -136,8 +136,15 @@ class Loop(eqx.Module):
         least = jnp.min(end.values / _scale(c.values))
         quiet = good & (least >= -_ROOT) & (c.cuts < _CUTS)
         last = motion.tableau.nodes.shape[0] - 1
-        doubt = between(motion.nodes, end.seen, last)
-        doubt = doubt._replace(hides=quiet & ~flies & doubt.hides)
+        one = jnp.ones_like(t1)
+        clear = Doubt(jnp.asarray(False), one, jnp.inf * one)
+        stages = end.seen[: last + 1]
+        near = ~stays_positive(jnp.min(stages, axis=0), jnp.max(stages, axis=0))
+        doubt = jax.lax.cond(
+            quiet & ~flies & near,
+            lambda: between(motion.nodes, end.seen, last),
+            lambda: clear,
+        )
         if not motion.lands:
             return doubt
         nodes, scene = motion.tableau.nodes, motion.scenes.flying
