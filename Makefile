@@ -44,6 +44,7 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/laws.py --out benchmarks/results
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
+	$(BIN)/python benchmarks/contact_changes.py --out benchmarks/results
 
 bench-peers: $(VENV)/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 	$(BIN)/python benchmarks/compare.py --out benchmarks/results
