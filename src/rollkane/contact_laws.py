@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from .checks import FieldError
 from .contact import Contact
+from .directed_friction import Balance, DirectedFriction, first_way
 from .mass_matrix import System
 from .rotations import tangent_pair
 from .scene import Flying, RubberRolling, Scene, Slipping
@@ -30,6 +31,7 @@ class Solution(NamedTuple):
         moment: Of the contact on the body [N m]; None: none.
         margin: What the normal force is divided by [1]; where it is not positive no
             normal force fits (Painleve); None: nothing is proportional to it.
+        turn: Slip times the rate at which friction turns it [m/s^2]; None: not asked.
     """
 
     angular_acceleration: Float[Array, "3"]
@@ -37,6 +39,7 @@ class Solution(NamedTuple):
     slip_acceleration: Float[Array, "3"] | None = None
     moment: Float[Array, "3"] | None = None
     margin: Float[Array, ""] | None = None
+    turn: Float[Array, ""] | None = None
 
 
 class Momentum(NamedTuple):
@@ -186,17 +189,48 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
         push = push + by_itself
     rows, rhs = _with_point(P, system, pair, push)
     ratio = friction.ratio(slip)
+    margin = moment = turn = None
     if ratio is None and resisting is None:
-        x, margin, moment = solve_spd(rows, rhs), None, None
+        x = solve_spd(rows, rhs)
     else:
         along = [zero, zero] if ratio is None else [dot(ratio, e) for e in pair]
         push = _by_normal_force(scene, contact, system, resisting, along)
         push = push._replace(one_sided=friction.one_sided)
+        if isinstance(friction, DirectedFriction):
+            push, turn = _as_it_begins(friction, rows, rhs, push)
         x, (N,), margin = _solve(rows, rhs, [push])
         moment = None if resisting is None else N * resisting
+        turn = None if turn is None else turn * jnp.abs(N)
     slid = x[-2] * pair[0] + x[-1] * pair[1]
-    solution = _parted(x[:-2])
-    return solution._replace(slip_acceleration=slid, moment=moment, margin=margin)
+    solution = _parted(x[:-2])._replace(slip_acceleration=slid, moment=moment)
+    return solution._replace(margin=margin, turn=turn)
+
+
+def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push):
+    """The push of a slip that may only begin, and the slip's turn for one newton.
+
+    With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
+    ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (7.5)).
+    """
+    mu, force = friction.coefficient, push.force
+    bare, rest = solve_spd(rows, rhs), [*force[:-2], *[jnp.zeros_like(mu)] * 2]
+    answer = solve_spd(rows, rest)
+    unit = lambda k: [jnp.asarray(float(i == k), mu.dtype) for i in range(len(rows))]
+    columns = [solve_spd(rows, unit(len(rows) - k)) for k in (2, 1)]
+    end = lambda x: jnp.stack(x[-2:])
+    value = push.value - _dot(push.row, bare)
+    sense = 1.0 if push.one_sided else jnp.where(value < 0.0, -1.0, 1.0)
+    b, A = end(bare), jnp.stack([end(x) for x in columns], axis=1)
+    r = sense * jnp.stack([_dot(push.row, x) for x in columns])
+    own = push.own + sense * _dot(push.row, answer)
+    w = sense * value
+    M = mu * (w * A + b[:, None] * r[None])
+    s = first_way(Balance(M, own * b + w * end(answer)))
+    first = [*force[:-2], *[-mu * x for x in components(s)]]
+    picked = [
+        jnp.where(friction.begins, x, y) for x, y in zip(first, force, strict=True)
+    ]
+    return push._replace(force=picked), mu * (A[0, 0] + A[1, 1])
 
 
 def _with_point(P: Momentum, system: System, directions, push):

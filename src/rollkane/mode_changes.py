@@ -11,29 +11,37 @@ from jaxtyping import Array, Float
 from .consistency import spin_stopped
 from .contact_laws import impulse_response
 from .coordinates import pack, unpack
+from .directed_friction import ONSET, SMALLEST_SLIP, begins
 from .hidden_events import BESIDE, cubic, stays_positive
 from .impacts import Rebound, impact
 from .mass_matrix import assemble
-from .modes import (
-    SMALLEST_SLIP,
-    HybridState,
-    Mode,
-    Modes,
-    Scenes,
-    last_way,
-    of,
-    slipping,
-)
+from .modes import HybridState, Mode, Modes, Scenes, of, slipping
 from .rolling import (
     contact_of,
     press_and_pull,
     rates_and_force,
     rolling_derivative,
+    slipping_rates,
 )
 from .scene import RubberRolling
 from .separation import in_flight, nearest_anywhere
 from .small_linear import cross, dot, matvec, matvec_transposed
 from .tableau import Tableau
+
+
+class Seen(NamedTuple):
+    """What is seen of the contact at one moment.
+
+    Attributes:
+        values: Of the events but for the gap: two numbers, positive while the mode
+            lasts.
+        way: Direction of a slip that begins, against its friction, fixed axes [1].
+        turn: Slip times the rate at which friction turns it [m/s^2].
+    """
+
+    values: Float[Array, "2"]
+    way: Float[Array, "3"]
+    turn: Float[Array, ""]
 
 
 class Step(NamedTuple):
@@ -45,6 +53,8 @@ class Step(NamedTuple):
         rates: Of the state at every stage, the last at the end.
         values: Of the events at the end: two numbers, positive while the mode lasts.
         seen: Of the events at ``Motion.nodes``; in flight they are not looked at.
+        way: As in ``Seen``, at the end.
+        turn: As in ``Seen``, at the end.
     """
 
     y: HybridState
@@ -52,6 +62,8 @@ class Step(NamedTuple):
     rates: Float[Array, "s n"]
     values: Float[Array, "2"]
     seen: Float[Array, "m 2"]
+    way: Float[Array, "3"]
+    turn: Float[Array, ""]
 
 
 class Motion(eqx.Module):
@@ -90,59 +102,69 @@ class Motion(eqx.Module):
         nodes = self.nodes
 
         def look(carry):
-            number, known, end, seen = carry
+            number, known, end, seen, last = carry
             at = start + h * matvec(known.T, weights[number])
             time = jnp.where(number == count - 1, t1, t + nodes[number] * h)
-            rates, values = self.at(mode, direction, time, unpack(at, y))
+            rates, now = self.at(mode, direction, time, unpack(at, y))
             pushed = jnp.roll(known, -1, axis=0).at[-1].set(pack(rates))
             is_stage = number < count
             known = jnp.where(is_stage, pushed, known)
-            end = jnp.where(is_stage, at, end)
-            return number + 1, known, end, seen.at[number].set(values)
+            end, last = jax.tree.map(
+                lambda a, b: jnp.where(is_stage, a, b), (at, now), (end, last)
+            )
+            return number + 1, known, end, seen.at[number].set(now.values), last
 
         known = jnp.zeros((count, start.shape[0]), start.dtype)
         unseen = jnp.zeros((nodes.shape[0], 2), start.dtype)
-        carry = jnp.asarray(0), known, start, unseen
+        last = Seen(unseen[0], jnp.zeros_like(direction), jnp.zeros_like(h))
+        carry = jnp.asarray(0), known, start, unseen, last
         if watched:
 
             def going(carry):
-                number, *_, seen = carry
+                number, _, _, seen, _ = carry
                 stages = seen[:count]
                 far = stays_positive(jnp.min(stages, axis=0), jnp.max(stages, axis=0))
                 return (number < count) | ((number < nodes.shape[0]) & ~far)
 
-            _, known, end, seen = jax.lax.while_loop(going, look, carry)
+            _, known, end, seen, last = jax.lax.while_loop(going, look, carry)
         else:
             step = lambda carry, _: (look(carry), None)
-            (_, known, end, seen), _ = jax.lax.scan(step, carry, length=count)
+            (_, known, end, seen, last), _ = jax.lax.scan(step, carry, length=count)
         error = h * matvec(known.T, tableau.error)
         end = unpack(end, y)
-        values, end = self.with_gap(mode, t1, end, seen[count - 1])
-        return Step(end, error, known, values, seen)
+        values, end = self.with_gap(mode, t1, end, last.values)
+        return Step(end, error, known, values, seen, last.way, last.turn)
 
     def at(self, mode, direction, t, y: HybridState):
-        """Rates of what the mode moves, and the events' values but for the gap."""
+        """Rates of what the mode moves, and what is seen of its contact."""
         modes, endless = self.modes, jnp.ones_like(t)
+        none = jnp.zeros_like(direction), jnp.zeros_like(t)
 
         def rolls():
             rates, press, pull = rates_and_force(self.scenes.rolling, t, y.rolling())
             grip = endless
             if modes.static_friction is not None:
                 grip = self._grip(press, pull)
-            return of(rates), jnp.stack([grip, press if modes.lifts else endless])
+            values = jnp.stack([grip, press if modes.lifts else endless])
+            return of(rates), Seen(values, *none)
 
         def slips():
             if modes.friction is None:
-                return jax.tree.map(jnp.zeros_like, y), jnp.stack([endless] * 2)
+                nothing = Seen(jnp.stack([endless] * 2), *none)
+                return jax.tree.map(jnp.zeros_like, y), nothing
             scene = slipping(self.scenes.rolling, modes.friction, direction, y)
-            rates, press, _ = rates_and_force(scene, t, y.sliding())
+            rates, press, pull, turn = slipping_rates(scene, t, y.sliding())
+            against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
+            against = against / _not_zero(_size(against))
+            way = jnp.where(begins(direction), against, direction)
             # without friction nothing ends a slip
-            on = jnp.where(modes.friction > 0.0, dot(y.slip, direction), endless)
-            return of(rates), jnp.stack([on, press if modes.lifts else endless])
+            on = jnp.where(modes.friction > 0.0, dot(y.slip, way), endless)
+            values = jnp.stack([on, press if modes.lifts else endless])
+            return of(rates), Seen(values, way, turn)
 
         def flies():
             rates = of(rolling_derivative(self.scenes.flying, t, y.flying()))
-            return rates, jnp.stack([endless] * 2)
+            return rates, Seen(jnp.stack([endless] * 2), *none)
 
         return jax.lax.switch(mode, [rolls, slips, flies])
 
@@ -187,15 +209,19 @@ class Motion(eqx.Module):
         """
 
         def seen(t, y):
-            return self.with_gap(mode, t, y, self.at(mode, direction, t, y)[1])
+            return self.with_gap(mode, t, y, self.at(mode, direction, t, y)[1].values)
 
         rates = unpack(step.rates[-1], step.y)
         return jax.jvp(seen, (t, step.y), (jnp.ones_like(t), rates))[1]
 
     def along(self, mode, direction, y: HybridState):
-        """Direction of the slip, where the slip is far above the law's smallest."""
+        """Direction of the slip, where it is far above the law's smallest.
+
+        Of one that begins where it no longer does.
+        """
         fast = dot(y.slip, y.slip)
-        known = (mode == Mode.SLIPPING) & (fast > (1e3 * SMALLEST_SLIP) ** 2)
+        least = jnp.where(begins(direction), ONSET, 1e3 * SMALLEST_SLIP)
+        known = (mode == Mode.SLIPPING) & (fast > least**2)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction
         )
@@ -203,13 +229,12 @@ class Motion(eqx.Module):
     def begun(self, mode, t, y: HybridState):
         """Mode, direction and state at the start: what is without slip may grip."""
         speed = _size(y.slip)
-        direction = y.slip / jnp.where(speed > 0.0, speed, 1.0)
-        settled, way, gripped = self.settled(t, y)
+        settled, gripped = self.settled(t, y)
         rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(speed > 0.0))
         grips = rests & (settled == Mode.ROLLING)
         return (
             jnp.where(rests, settled, mode),
-            jnp.where(rests, way, direction),
+            y.slip / _not_zero(speed),
             _picked(grips, gripped, y),
         )
 
@@ -229,10 +254,9 @@ class Motion(eqx.Module):
         if self.modes.lifts:
             flying = _picked(flies, flying, self._lifted(direction, t, y))
         speed = _size(touching.slip)
-        slips = speed > 0.0
-        stays, way, gripped = self.settled(t, touching)
-        way = jnp.where(slips, touching.slip / jnp.where(slips, speed, 1.0), way)
-        stays = jnp.where(slips, Mode.SLIPPING, stays)
+        stays, gripped = self.settled(t, touching)
+        way = touching.slip / _not_zero(speed)  # zero of a slip that begins
+        stays = jnp.where(speed > 0.0, Mode.SLIPPING, stays)
         stays = jnp.where(rolls, Mode.SLIPPING, stays)  # what ended was the grip
         touching = _picked(stays == Mode.ROLLING, gripped, touching)
         leaves = jnp.where(flies, up, kind == 1)
@@ -254,49 +278,24 @@ class Motion(eqx.Module):
         numbers = e, modes.friction, modes.rest_speed
         return impact(scene, t, y.flying(), *numbers, modes.impact, happens)
 
-    def last_of_slip(self, direction, t, y: HybridState):
-        """Direction at which a slip ends, on fixed axes, and the rates of the state.
+    def has_begun(self, mode, direction, y: HybridState, ends):
+        """Whether a slip that began is fast enough to be followed, or ends before."""
+        fast = dot(y.slip, y.slip) > ONSET**2
+        return (mode == Mode.SLIPPING) & begins(direction) & (fast | ends)
 
-        There the slip's rate is along the slip: its turn vanishes. That is linear in
-        the small angle that is left, and two rates give it (a secant).
-        """
-        scene = self.scenes.rolling
-        out = contact_of(scene, t, y.sliding())
-        normal = matvec(out.rotation, out.normal)
-        s = last_way(y.slip, direction)
-        across = cross(normal, s)
-        ended = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
-        slides = jnp.full((), Mode.SLIPPING)
+    def straightened(self, s, t, y: HybridState, begun) -> HybridState:
+        """A slip along s alone: friction has ended the part across it.
 
-        def turned(carry, _):
-            before, was, angle = carry
-            way = s * jnp.cos(angle) + across * jnp.sin(angle)
-            rates, _ = self.at(slides, way, t, ended)
-            off = jnp.arctan2(-dot(rates.slip, across), -dot(rates.slip, s)) - angle
-            change = off - was
-            flat = change == 0.0
-            step = -off * (angle - before) / jnp.where(flat, 1.0, change)
-            # the first: away from the turn that is left, by about as much
-            first = before == angle
-            step = jnp.where(first, off, jnp.where(flat, 0.0, step))
-            return (angle, off, angle + step), (way, rates)
-
-        zero = jnp.zeros_like(t)
-        _, (ways, rates) = jax.lax.scan(turned, (zero, zero, zero), length=4)
-        return jax.tree.map(lambda x: x[-1], (ways, rates))
-
-    def straightened(self, s, t, y: HybridState) -> HybridState:
-        """The end of a slip, of whose tangent friction has ended the part across.
-
-        The value is that of ``y``. Of a slip U = r s that ends, r -> 0, a variation
-        across s ends with it, by friction that turns and the normal force that goes
-        along: ``J = P (n - mu s) - q s'``, so that neither the normal velocity nor a
-        part along s' = N x s is left (docs/theory.md, (7.4)).
+        Of a slip U = r s with r -> 0, what is across s ends by friction that turns and
+        the normal force that goes along: ``J = P (n - mu s) - q s'``, so that neither
+        the normal velocity nor a part along s' = N x s is left (docs/theory.md, (7.4)).
 
         Args:
-            s: Its last direction, fixed axes [1].
+            s: Its direction, fixed axes [1].
             t: Time [s].
             y: State.
+            begun: Whether it is behind its onset; else it ends, and only the tangent
+                has a part to lose: the value is that of ``y``.
         """
         if self.modes.friction is None:
             return y
@@ -310,7 +309,7 @@ class Motion(eqx.Module):
         by_limit, by_across = matvec(G, limit), matvec(G, across)
         share = dot(n, by_across) / _not_zero(dot(n, by_limit))
         left = dot(on_body(y.slip), across)
-        left = left - jax.lax.stop_gradient(left)
+        left = left - jnp.where(begun, 0.0, jax.lax.stop_gradient(left))
         q = left / _not_zero(dot(across, by_across) - share * dot(across, by_limit))
         J = q * (share * limit - across)
         jump = matvec(others, J)
@@ -325,7 +324,7 @@ class Motion(eqx.Module):
         )
 
     def settled(self, t, y: HybridState):
-        """Mode and direction of a contact without slip, and its state if it rolls.
+        """Mode of a contact without slip, and its state if it rolls.
 
         It rolls if it is held; on rubber an impulse ends its spin about the normal.
         """
@@ -339,7 +338,7 @@ class Motion(eqx.Module):
         if self.modes.static_friction is not None:
             held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
-        return mode, -pull / jnp.where(_size(pull) > 0.0, _size(pull), 1.0), y
+        return mode, y
 
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:

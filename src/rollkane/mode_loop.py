@@ -15,11 +15,12 @@ from jaxtyping import Array
 
 from .codes import Code
 from .coordinates import pack, unpack
+from .directed_friction import ONSET, SMALLEST_SLIP, begins
 from .flight_watch import doubt_in_flight
 from .hidden_events import Doubt, between, rate_at_end, stays_positive
 from .mode_changes import Motion, Step
 from .mode_replay import Path, Place, Record, turning
-from .modes import SMALLEST_SLIP, HybridState, Mode
+from .modes import HybridState, Mode
 from .rolling import headings, watches_headings
 from .root_search import Bracket
 from .scene import Scene
@@ -35,6 +36,8 @@ _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to spea
 # A slip is regular down to SMALLEST_SLIP; one that is larger where it stands across its
 # old direction has turned, not ended
 _ENDED_SLIP = 30.0 * SMALLEST_SLIP
+# Rate times step: methods of orders 3 and 5 are stable to 2.5 and 3.3 at least
+_SETTLES = 2.0
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)
 _CUTS = 24
@@ -170,7 +173,8 @@ class Loop(eqx.Module):
         tiny = 4.0 * jnp.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
         share = tried.end.values / _scale(c.values)
         least = jnp.min(share)
-        size = jnp.where(self.stands(c.place, tried), size, jnp.inf)
+        stands = self.stands(c.place, tried) & self.follows(c.place, tried.end)
+        size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: too close for anything to happen between
         blinks = tried.lands & (taken <= tiny) & (size <= 1.0)
@@ -206,6 +210,8 @@ class Loop(eqx.Module):
         step = jnp.where(hides, cut, step)
         step = jnp.where(at_once, 1e6 * tiny, step)
         step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
+        settles = self.while_it_turns(c.place, tried.end)
+        step = jnp.where(accept & ~event, jnp.minimum(step, settles), step)
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
@@ -224,7 +230,25 @@ class Loop(eqx.Module):
     def has_turned(self, at: Place, end: Step, kind) -> Array:
         """Whether a slip stands across its old direction without having ended."""
         squared = dot(end.y.slip, end.y.slip)
-        return self.motion.ends_slip(at.mode, kind) & (squared > _ENDED_SLIP**2)
+        turned = (squared > _ENDED_SLIP**2) & ~begins(at.direction)
+        return self.motion.ends_slip(at.mode, kind) & turned
+
+    def while_it_turns(self, at: Place, end: Step) -> Array:
+        """The longest step in which a slip's direction settles, and does not swing.
+
+        Friction turns it at a rate mu N / r, stiff where r is small. A straight slip
+        does not show it; what differs from it, its tangents, would grow with each step.
+        """
+        slip = jnp.sqrt(dot(end.y.slip, end.y.slip)) + SMALLEST_SLIP
+        turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
+        turns &= (slip > ONSET) | ~begins(at.direction)
+        turn = jnp.where(turns, end.turn, 1.0)
+        return jnp.where(turns, _SETTLES * slip / turn, jnp.inf)
+
+    def follows(self, at: Place, end: Step) -> Array:
+        """Whether a slip that begins is not yet far too fast to be one."""
+        fast = dot(end.y.slip, end.y.slip) > (2.0 * ONSET) ** 2
+        return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
 
     def stands(self, at: Place, tried: _Tried) -> Array:
         """Whether no normal passed where its contact jumps, nor the body its base."""
@@ -244,15 +268,20 @@ class Loop(eqx.Module):
         tried = self.tried(c)
         verdict = self.judged(c, tried)
         event, at = verdict.event, c.place
-        kind, end = verdict.kind, tried.end
+        kind, end, motion = verdict.kind, tried.end, self.motion
+        ends = event & motion.ends_slip(at.mode, kind)
+        begun = motion.has_begun(at.mode, at.direction, end.y, ends)
+        y = jax.lax.cond(
+            begun,
+            lambda: motion.straightened(end.way, tried.t, end.y, begun),
+            lambda: end.y,
+        )
         mode, direction, y = jax.lax.cond(
             event,
-            lambda: self.motion.changed(
-                at.mode, kind, at.direction, tried.t, end.y, event
-            ),
-            lambda: (at.mode, at.direction, end.y),
+            lambda: motion.changed(at.mode, kind, at.direction, tried.t, y, event),
+            lambda: (at.mode, at.direction, y),
         )
-        after = Place(tried.t, y, mode, self.motion.along(mode, direction, y))
+        after = Place(tried.t, y, mode, motion.along(mode, direction, y))
         full = event & (c.path.switches.count >= self.motion.modes.switches)
         lost = event & ~jnp.all(jnp.isfinite(pack(y)))
         accept = verdict.accept & ~full & ~lost
@@ -312,9 +341,7 @@ class Loop(eqx.Module):
         turns = c.record.turns
         turn = jax.lax.cond(
             event,
-            lambda: turning(
-                self.motion, at.mode, at.direction, at.t, tried.t, tried.end, kind
-            ),
+            lambda: turning(self.motion, at, tried.t, tried.end, kind),
             lambda: jnp.zeros_like(turns[0]),
         )
         row = tried.t, next, jnp.where(event, kind, -1), output

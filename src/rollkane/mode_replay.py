@@ -139,27 +139,37 @@ class Record(NamedTuple):
         return jnp.sum(~jnp.isnan(self.steps[:, _END]))
 
 
-def turning(motion: Motion, mode, direction, t0, t, end: Step, kind) -> Array:
+def turning(motion: Motion, at: Place, t, end: Step, kind) -> Array:
     """How an event's time follows what it depends on, then the rates there.
 
     Its value [s per unit]; of a slip that ends, the slip itself [s per m/s], shape
     (3,), and its last direction [1], shape (3,). With them the time moves by one Newton
     step, of value zero; not where the event only grazes its zero. They are constants to
     a first derivative.
+
+    As a slip ends its direction may turn without end, ever more slowly: rates and
+    direction are those by which the step itself follows its end, and fit its tangents.
     """
+    mode, direction = at.mode, at.direction
     of_values, of_state = motion.slopes(mode, direction, t, end)
     slope = of_values[kind]
     inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
-    grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - t0)
+    grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - at.t)
     inverse = jnp.where(grazes, 0.0, inverse)
     none = jnp.zeros_like(direction)
 
     def slides():
-        s, rates = motion.last_of_slip(direction, t, end.y)
+        ended = lambda t: motion.stepped(mode, direction, at.t, t, at.y).y
+        rates = jax.jvp(ended, (t,), (jnp.ones_like(t),))[1]
         a = rates.slip
         squared = dot(a, a)
-        way = a / jnp.where(squared > 0.0, squared, 1.0)
-        return jnp.zeros_like(inverse), way, s, pack(rates)
+        squared = jnp.where(squared > 0.0, squared, 1.0)
+        return (
+            jnp.zeros_like(inverse),
+            a / squared,
+            -a / jnp.sqrt(squared),
+            pack(rates),
+        )
 
     other = lambda: (inverse, none, none, pack(of_state))
     inverse, way, s, rates = jax.lax.cond(motion.ends_slip(mode, kind), slides, other)
@@ -213,20 +223,26 @@ def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Pla
     step = motion.stepped(mode, direction, t, landed, y)
     kind = kind.astype(int)
 
+    inverse, way, s, rates = turn[0], turn[1:4], turn[4:7], turn[7:]
+    ends = event & motion.ends_slip(mode, kind)
+    begun = motion.has_begun(mode, direction, step.y, ends)
+    s = jnp.where(begun, step.way, s)
+    y = jax.lax.cond(
+        begun | ends,
+        lambda: motion.straightened(s, landed, step.y, begun),
+        lambda: step.y,
+    )
+
     def passed():
-        slides = motion.ends_slip(mode, kind)
-        inverse, way, s, rates = turn[0], turn[1:4], turn[4:7], turn[7:]
-        straight = motion.straightened(s, landed, step.y)
-        y = jax.tree.map(lambda a, b: jnp.where(slides, a, b), straight, step.y)
         value, slip = step.values[kind], y.slip
         shift = -(value - jax.lax.stop_gradient(value)) * inverse
         shift = shift - dot(slip - jax.lax.stop_gradient(slip), way)
-        y = unpack(pack(y) + shift * rates, y)
+        moved = unpack(pack(y) + shift * rates, y)
         t = landed + shift
-        return t, *motion.changed(mode, kind, direction, t, y)
+        return t, *motion.changed(mode, kind, direction, t, moved)
 
     t, mode, direction, y = jax.lax.cond(
-        event, passed, lambda: (landed, mode, direction, step.y)
+        event, passed, lambda: (landed, mode, direction, y)
     )
     shown = Place(t, y, mode, motion.along(mode, direction, y))
     return shown._replace(t=jnp.where(begin == end, t, begin)), shown

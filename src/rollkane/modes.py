@@ -13,10 +13,10 @@ from jaxtyping import Array, Float, Int
 
 from .checks import FieldError, flag, not_negative, positive, refuse, whole
 from .coordinates import FlyingState, SlidingState, State, shared_parts
-from .friction import AbstractFriction
+from .directed_friction import DirectedFriction
 from .rotations import rotation_matrix
 from .scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
-from .small_linear import dot, matvec_transposed
+from .small_linear import matvec_transposed
 
 
 class Mode:
@@ -133,36 +133,6 @@ class Modes(eqx.Module):
         return self.friction is not None or self.restitution is not None
 
 
-# [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
-SMALLEST_SLIP = 1e-9
-
-
-class _Directed(AbstractFriction):
-    """Coulomb friction that passes smoothly through the end of a slip.
-
-    ``-mu (U + eps d) / |U + eps d|`` with the direction d that the slip had: at U = 0
-    the friction is that of the last moment, and the sign of ``U . d`` says when.
-    """
-
-    coefficient: Array
-    direction: Array
-    lifts: bool = eqx.field(static=True)
-
-    @property
-    def one_sided(self) -> bool:
-        return self.lifts
-
-    def ratio(self, slip):
-        return -self.coefficient * last_way(slip, self.direction)
-
-
-def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
-    """Direction of a slip that may vanish [1]; ``direction``: what it was."""
-    moved = slip + SMALLEST_SLIP * direction
-    squared = dot(moved, moved)  # zero in a lane that does not slip
-    return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
-
-
 class _RollingThatLifts(Rolling):
     """Rolling, in a run that ends the contact where it would pull."""
 
@@ -227,10 +197,16 @@ def in_modes(scene: Scene) -> Scenes:
 
 
 def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
-    """A scene that rolls, as it slips; direction of the slip on fixed axes [1]."""
+    """A scene that rolls, as it slips; direction of the slip on fixed axes [1].
+
+    Zero: the slip only begins. It has no derivative: a slip that ends may turn by
+    1e5 rad/s and more, and what follows does not depend on when it was looked at.
+    """
     assert isinstance(scene.contact, Rolling)
+    direction = jax.lax.stop_gradient(direction)
     own = matvec_transposed(rotation_matrix(state.orientation), direction)
-    return under(scene, Slipping(_Directed(mu, own, scene.contact.one_sided)))
+    friction = DirectedFriction(mu, own, scene.contact.one_sided)
+    return under(scene, Slipping(friction))
 
 
 class ModedState(eqx.Module):
@@ -239,7 +215,7 @@ class ModedState(eqx.Module):
     Attributes:
         parts: The state in every mode.
         mode: One of :class:`Mode`; -1 where not reached.
-        direction: Of the slip, or what it last was, FIXED axes [1], shape (3,).
+        direction: Of the slip, FIXED axes [1], shape (3,); zero while it only begins.
     """
 
     parts: HybridState

@@ -125,6 +125,16 @@ def rates_and_force(
     return _rates(state, contact, solution), *_parted(contact, force)
 
 
+def slipping_rates(
+    scene: Scene, t: Float[Array, ""], state: SlidingState
+) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"], Float[Array, ""]]:
+    """As :func:`rates_and_force`, and the slip times the rate of its turn [m/s^2]."""
+    contact, solution, force = _solved(scene, t, state)
+    press, pull = _parted(contact, force)
+    turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
+    return _rates(state, contact, solution), press, pull, turn
+
+
 def contact_force(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, "3"]:

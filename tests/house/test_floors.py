@@ -31,6 +31,7 @@ LADDER = [
     "supported",
     "loads",
     "friction",
+    "directed_friction",
     "resistance",
     "scene",
     "mass_matrix",
