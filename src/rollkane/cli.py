@@ -71,6 +71,11 @@ def main() -> None:
     show_default=True,
     help="Most steps taken.",
 )
+@click.option(
+    "--method",
+    type=click.Choice(["auto", "native", "diffrax"]),
+    help="The loop in C, diffrax's, or the former where it can.",
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def simulate(
@@ -85,6 +90,7 @@ def simulate(
     duration: float | None,
     outputs: int | None,
     max_steps: int,
+    method: str | None,
     quiet: bool,
 ) -> None:
     """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
@@ -112,6 +118,7 @@ def simulate(
             "atol": atol or file.atol,
             "max_steps": max_steps,
             "modes": file.modes,
+            "method": method or file.method,
             "second_contact": file.second_contact,
         },
         quiet,

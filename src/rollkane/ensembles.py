@@ -24,17 +24,17 @@ from .integration import (
 )
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
+from .methods import METHODS, NotNativeError
 from .modes import Modes
-from .native import NoCompilerError, check_usable
+from .native import NoCompilerError
 from .scene import Scene
-from .simulation import NotNativeError, check_span, check_start, simulate
+from .simulation import check_span, check_start, simulate
 from .solving import UNRECORDED_STEPS
 
 # what a block's states may take [bytes]
 _ROOM = 2**25
 _MOST_IN_BLOCK = 8192
 _NO_MODES = "runs with modes need the loop of simulate"
-_METHODS = ("auto", "native", "diffrax")
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
 
@@ -209,9 +209,9 @@ class _Run:
     ):
         self.members = members_of(scene, starts, count, scene_axes)
         self.traced = is_traced(scene, starts, times, rtol, atol)
-        if method not in _METHODS:
+        if method not in METHODS:
             raise FieldError(
-                "ensemble.method", method, "is not known", f"use one of {_METHODS}"
+                "ensemble.method", method, "is not known", f"use one of {METHODS}"
             )
         self.observe = observe
         example = self.members.example
@@ -280,25 +280,13 @@ class _Run:
     def whole(self) -> Ensemble:
         """All members at once, as JAX arrays."""
         every = *self.members.block(0, self.members.count), 0, self.members.count
-        if self.method == "diffrax":
-            return self._simulated(*every)
-        try:
-            if self.how["modes"] is not None:
-                raise NotNativeError(_NO_MODES)
-            check_usable()
-            return self._simulated(*every, method="native")
-        except NotNativeError as error:
-            if self.method == "native":
-                raise
-            self.why = error.problem
-        except NoCompilerError as error:
-            self._without_compiler(error)
-        return self._simulated(*every)
+        if self.method == "native" and self.how["modes"] is not None:
+            raise NotNativeError(_NO_MODES)
+        return self._simulated(*every, method=self.method)
 
     def _without_compiler(self, error: NoCompilerError) -> None:
         self.why = str(error)
-        if self.method == "native":
-            warn_without_compiler(error)
+        warn_without_compiler(self.why)
 
     def blocks(self) -> Iterator[Ensemble]:
         """The blocks in order; while one is taken, the next ones are computed."""
@@ -359,8 +347,10 @@ class _Run:
         axes = self.members.axes()
         how = self.how | {"method": method}
         run = _simulated(axes, how, sizes, scene, starts, self.times)
+        if method != "diffrax":
+            self.why = run.why
         return self._ensemble(
-            *(method, first, count, scene),
+            *(run.method, first, count, scene),
             run.state,
             run.code,
             run.final_time,

@@ -301,12 +301,13 @@ def warn_single_precision(dtype) -> None:
         )
 
 
-def warn_without_compiler(error: Exception) -> None:
-    """Say once why the native loop is not used, where it was asked for."""
+def warn_without_compiler(why: str) -> None:
+    """Say once why the loop in C is not used, where it would be."""
     _warn_once(
         RuntimeWarning,
         "compiler",
-        f'method="native" is not to be had here, and diffrax takes its place: {error}',
+        f"the loop in C is not to be had here, and diffrax takes its place, some ten "
+        f"times slower: {why}",
     )
 
 

@@ -118,7 +118,8 @@ class Program:
         """
         if closed is None:
             closed = [numbers_of(x) for x in self.closed]
-        return _Walk(operate).through(self._closed.jaxpr, closed, values)
+        with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
+            return _Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
 def numbers_of(array: Any) -> Numbers:
@@ -139,6 +140,10 @@ def as_objects(values: Any, shape: tuple[int, ...]) -> Numbers:
     for i, value in enumerate(values):
         numbers[i] = value
     return numbers.reshape(shape)
+
+
+def _alone(value: Any) -> Numbers:
+    return as_objects([value], ())
 
 
 class _Walk:
@@ -184,6 +189,10 @@ class _Walk:
             return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]
         if name in _MOVES:
             return [_MOVES[name](inputs, params)]
+        if name == "dynamic_slice":
+            return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
+        if name == "cond":
+            return self.chosen(inputs[0][()], params["branches"], inputs[1:])
         raise NotElementwiseError(name)
 
     def elementwise(self, name, params, inputs, shape, dtype) -> Numbers:
@@ -223,6 +232,51 @@ class _Walk:
             if exponent:
                 x = self.operation("mul", {}, [x, x], dtype)
         return total
+
+    def sliced(self, numbers, starts: list[Numbers], sizes, dtype) -> Numbers:
+        """A part of an array, which begins at an index that may be unknown."""
+        unknown = []
+        for axis, (start, size) in enumerate(zip(starts, sizes, strict=True)):
+            first, last = start[()], numbers.shape[axis] - size
+            if last == 0:
+                continue
+            if isinstance(first, np.generic):
+                begin = int(np.clip(first, 0, last))
+                numbers = np.take(numbers, range(begin, begin + size), axis)
+            else:
+                unknown.append((axis, first, last))
+        if not unknown:
+            return numbers
+        if len(unknown) > 1:
+            raise NotElementwiseError("a lookup by two indices")
+        ((axis, first, last),) = unknown
+        result = np.empty(sizes, object)
+        for index in np.ndindex(result.shape):
+            row = np.moveaxis(numbers, axis, -1)[*index[:axis], *index[axis + 1 :]]
+            candidates = row[index[axis] : index[axis] + last + 1]
+            result[index] = self.operate("lookup", {}, [first, candidates], dtype)
+        return result
+
+    def chosen(self, which: Any, branches: Any, inputs: list[Numbers]) -> list[Numbers]:
+        """The results of one of some branches: of all of them, one is taken."""
+        last = len(branches) - 1
+
+        def results(branch):
+            consts = [numbers_of(x) for x in branch.consts]
+            return self.through(branch.jaxpr, consts, inputs)
+
+        if isinstance(which, np.generic):
+            return results(branches[int(np.clip(which, 0, last))])
+        found = results(branches[last])
+        for i in reversed(range(last)):
+            here = self.operation("le", {}, [which, np.int32(i)], np.dtype(bool))
+            found = [
+                self.elementwise("select_n", {}, [_alone(here), a, b], b.shape, x.dtype)
+                for a, b, x in zip(
+                    found, results(branches[i]), branches[i].out_avals, strict=True
+                )
+            ]
+        return found
 
     def folded(self, name: str, numbers: list, dtype: Any) -> Any:
         """The sum, the largest and so on of some numbers."""

@@ -1,7 +1,6 @@
 """Integrate a scene in time: from a state to a trajectory."""
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import diffrax as dfx
@@ -27,12 +26,10 @@ from .integration import (
     integrate,
     tolerances,
     warn_single_precision,
-    warn_without_compiler,
 )
 from .keeping import KeepingEnergy, check_keeps_energy
+from .methods import check_method, run_by, without_native
 from .modes import Modes, of
-from .native import NoCompilerError
-from .numberwise import NotElementwiseError
 from .rolling import rolling_derivative
 from .rolling_run import (
     corners,
@@ -46,12 +43,13 @@ from .scene import Rolling, Scene, Slipping, under
 from .solving import UNRECORDED_STEPS
 from .state_conversion import to_pole_free, to_voronets
 from .steps import stops_of
-from .tableau import PLAIN, is_plain
 from .trajectory import Trajectory
 from .voronets import AnyState, VoronetsState
 
+# what the loop in C does not have
+_DIFFRAX_ALONE = "stepsize_controller", "adjoint", "saveat", "progress_meter"
+_WHY_MODES = "runs with modes go by a loop of their own"
 _COORDINATES = ("pole-free", "voronets")
-_METHODS = ("diffrax", "native")
 
 
 def simulate(
@@ -71,7 +69,7 @@ def simulate(
     dt0: float | None = None,
     max_steps: int | None = None,
     progress_meter: dfx.AbstractProgressMeter | None = None,
-    method: str = "diffrax",
+    method: str = "auto",
     second_contact: bool = False,
 ) -> Trajectory:
     """Motion of a scene from a start, at the asked times.
@@ -107,13 +105,15 @@ def simulate(
         max_steps: Most steps taken; by default 4194304, of which derivatives can
             follow 65536 (and are NaN beyond, never quietly wrong).
         progress_meter: diffrax progress meter.
-        method: ``"diffrax"``, or ``"native"``: the same steps in the compiled C loop
-            of :func:`rollkane.ensemble`, on a CPU, a fraction of the time and of the
-            wait for the first result; ``solver`` is one of Bosh3, Tsit5, Dopri5 and
-            Dopri8, the rates are arithmetic, and ``modes``, ``stepsize_controller``,
-            ``adjoint``, ``saveat`` and ``progress_meter`` cannot be chosen. Where there
-            is no C compiler, or it fails, ``"diffrax"`` takes its place, with a warning
-            once.
+        method: ``"native"``: the compiled loop in C of :func:`rollkane.ensemble`, on
+            a CPU: diffrax's steps in a tenth of the time and half of the wait for the
+            first result. ``"diffrax"``: XLA's programs. ``"auto"``: native where it
+            can; the result's ``method`` and ``why`` tell. Native it cannot with
+            ``modes``, ``stepsize_controller``, ``adjoint``, ``saveat``,
+            ``progress_meter``, a ``second_contact`` to look for, a ``solver`` other
+            than Bosh3, Tsit5, Dopri5 and Dopri8, or rates that are more than
+            arithmetic. Where there is no C compiler, or it fails, diffrax takes its
+            place, with a warning once.
         second_contact: Whether the run ends, with ``Code.SECOND_CONTACT``, where the
             body reaches its base at a second place. That is looked for after each step,
             on samples of both surfaces (:mod:`rollkane.clearance`), by diffrax's loop:
@@ -123,14 +123,17 @@ def simulate(
         The trajectory.
 
     Warns:
-        RuntimeWarning: ``method="native"`` without a C compiler that works, once.
+        RuntimeWarning: there is no C compiler that works, once.
 
     Raises:
         FieldError: times that are not increasing, tolerances out of range, unknown
             names, a start that does not belong to the scene.
     """
-    _check_names(formulation, coordinates, method)
+    _check_names(formulation, coordinates)
+    check_method(method)
     _check_law(scene, formulation, coordinates)
+    if isinstance(solver, KeepingEnergy):
+        check_keeps_energy("simulate.scene", scene)
     options = {
         "formulation": formulation != "rolling",
         "coordinates": coordinates != "pole-free",
@@ -140,15 +143,11 @@ def simulate(
         "dt0": dt0 is not None,
         "progress_meter": progress_meter is not None,
     }
-    if isinstance(solver, KeepingEnergy):
-        check_keeps_energy("simulate.scene", scene)
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
+    foreign = {"modes": modes is not None, "second_contact": looks}
+    foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
     if method == "native":
-        unknown = "stepsize_controller", "adjoint", "saveat", "progress_meter"
-        given = {name: options[name] for name in unknown}
-        given |= {"modes": modes is not None, "second_contact": looks}
-        _refuse("method", given)
-        _check_native(solver)
+        _refuse("method", foreign)
     if modes is not None:
         _refuse("modes", options)
         return _simulate_modes(
@@ -174,7 +173,9 @@ def simulate(
         progress_meter=progress_meter,
         allowed=is_apart if looks else None,
     )
-    outcome = run_natively(run) if method == "native" else run(native=False)
+    refusal = without_native(solver, foreign)
+    kind = formulation, coordinates, type(solver)
+    outcome, method, why = run_by(method, refusal, kind, (scene, start), run)
     return Trajectory(
         time=outcome.time,
         state=outcome.state,
@@ -185,25 +186,9 @@ def simulate(
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
         fault=outcome.fault,
+        method=method,
+        why=why,
     )
-
-
-def run_natively(run: Callable) -> Any:
-    """A run by the loop in C; by diffrax where no compiler serves, with a warning.
-
-    Args:
-        run: ``run(native=...)``.
-
-    Raises:
-        NotNativeError: the rates are more than arithmetic.
-    """
-    try:
-        return run(native=True)
-    except NotElementwiseError as error:
-        raise NotNativeError(f"cannot do this: {error}") from error
-    except NoCompilerError as error:
-        warn_without_compiler(error)
-    return run(native=False)
 
 
 def _refuse(having: str, given: dict[str, bool]) -> None:
@@ -212,25 +197,6 @@ def _refuse(having: str, given: dict[str, bool]) -> None:
             remedy = f"leave {name} out, or {having}"
             problem = f"cannot be chosen with {having}"
             raise FieldError(f"simulate.{name}", "...", problem, remedy)
-
-
-class NotNativeError(FieldError):
-    """The loop in C cannot do what is asked of it."""
-
-    def __init__(self, problem: str):
-        """Say why."""
-        remedy = 'use method="diffrax"'
-        super().__init__("simulate.method", "native", problem, remedy)
-
-
-def _check_native(solver: dfx.AbstractSolver | None) -> None:
-    """Refuse what the loop in C is known not to do before anything is traced."""
-    if solver is not None and not is_plain(solver):
-        known = ", ".join(kind.__name__ for kind in PLAIN)
-        name = type(solver).__name__
-        raise NotNativeError(f"cannot do this: {name} is none of {known}")
-    if jax.default_backend() != "cpu":
-        raise NotNativeError("runs on the CPU only, which is not JAX's default here")
 
 
 def _simulate_modes(
@@ -285,6 +251,7 @@ def _simulate_modes(
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
         fault=outcome.fault,
+        why=_WHY_MODES,
     )
 
 
@@ -326,11 +293,10 @@ def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
     return code
 
 
-def _check_names(formulation: str, coordinates: str, method: str) -> None:
+def _check_names(formulation: str, coordinates: str) -> None:
     for field, value, known in (
         ("simulate.formulation", formulation, tuple(_PROBLEMS)),
         ("simulate.coordinates", coordinates, _COORDINATES),
-        ("simulate.method", method, _METHODS),
     ):
         if value not in known:
             raise FieldError(field, value, "is not known", f"use one of {known}")

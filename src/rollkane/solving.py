@@ -277,9 +277,11 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
     if most is None:
         most = _RECORDED_STEPS if recording else UNRECORDED_STEPS
     ended = loop(y0, course, most)
+    # a start from which no step can be taken is none: as by diffrax
+    begun = jnp.where(ended.steps > 0, y0, jnp.nan)
     outcome = Solution(
         time=times,
-        y=jnp.concatenate([y0[None], ended.y]),
+        y=jnp.concatenate([begun[None], ended.y]),
         final_time=ended.final_time,
         final_y=ended.final_y,
         code=ended.code,

@@ -49,7 +49,10 @@ def summary(trajectory: Trajectory) -> list[str]:
         lines.append(_energy_line(motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
     lines += _switch_lines(trajectory.switches)
-    lines.append(_line("steps", f"{steps} accepted, {rejected} rejected"))
+    loop = "in C" if trajectory.method == "native" else "by diffrax"
+    if trajectory.switches is not None:
+        loop = "with modes"
+    lines.append(_line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
     if rows.size:
         lines += _force_lines(trajectory, motion)
     return lines
@@ -132,7 +135,7 @@ def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
     )
     axis = int(np.argmax(np.abs(upwards[0])))
     lines = []
-    fastest = np.max(np.linalg.norm(motion.angular_velocity, axis=1))
+    fastest = np.max(np.abs(motion.angular_velocity))
     for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
         spin = spins[:, k]
         lines.append(

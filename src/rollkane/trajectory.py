@@ -36,6 +36,8 @@ class Trajectory(eqx.Module):
         switches: Changes between rolling, slipping and flight; None in a run without.
         fault: Which number of the scene, the start or the times cannot be used, as
             ``reason`` names it; -1: none.
+        method: Which loop made it, ``"native"`` (C) or ``"diffrax"`` (XLA).
+        why: Why it is not the loop in C, in a sentence; empty where it is.
     """
 
     time: Float[Array, " T"]
@@ -48,6 +50,8 @@ class Trajectory(eqx.Module):
     rejected_steps: Int[Array, ""]
     switches: Switches | None = None
     fault: Int[Array, ""] | int = NO_FAULT
+    method: str = eqx.field(static=True, default="diffrax")
+    why: str = eqx.field(static=True, default="")
 
     def each(self, observable: Callable[[Scene, Array, Any], Any]) -> Any:
         """An observable of one state, at every time of every lane.

@@ -65,6 +65,7 @@ LADDER = [
     "rolling_run",
     "solving",
     "integration",
+    "methods",
     "members",
     "lane_blocks",
     "flight_watch",

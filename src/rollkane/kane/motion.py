@@ -1,5 +1,6 @@
 """Motion of a system in time: the same integrator as that of a rolling body."""
 
+import functools
 from typing import Any
 
 import diffrax as dfx
@@ -18,6 +19,7 @@ from ..integration import (
     warn_single_precision,
 )
 from ..keeping import KeepingEnergy
+from ..methods import check_method, run_by, without_native
 from .equations import (
     all_speeds,
     kane_derivative,
@@ -43,6 +45,8 @@ class KaneTrajectory(eqx.Module):
         rejected_steps: Rejected steps.
         fault: Which number of the system, the start or the times cannot be used, as
             ``reason`` names it; -1: none.
+        method: Which loop made it, ``"native"`` (C) or ``"diffrax"`` (XLA).
+        why: Why it is not the loop in C, in a sentence; empty where it is.
     """
 
     time: Float[Array, " T"]
@@ -54,6 +58,8 @@ class KaneTrajectory(eqx.Module):
     steps: Int[Array, ""]
     rejected_steps: Int[Array, ""]
     fault: Int[Array, ""] | int = NO_FAULT
+    method: str = eqx.field(static=True, default="diffrax")
+    why: str = eqx.field(static=True, default="")
 
     @property
     def q(self) -> Float[Array, "T n"]:
@@ -100,6 +106,7 @@ def simulate(
     dt0: float | None = None,
     max_steps: int | None = None,
     progress_meter: dfx.AbstractProgressMeter | None = None,
+    method: str = "auto",
 ) -> KaneTrajectory:
     """Motion of a system from a start, at the asked times.
 
@@ -118,6 +125,8 @@ def simulate(
         dt0: First step [s].
         max_steps: Most steps taken.
         progress_meter: diffrax progress meter.
+        method: ``"native"``, the loop in C; ``"diffrax"``; ``"auto"``: native where it
+            can (``why`` of the result tells why not).
 
     Raises:
         FieldError: a start of another shape, times or tolerances out of range; of known
@@ -129,17 +138,22 @@ def simulate(
         problem = "keeps the energy of a rolling scene, not that of a system"
         remedy = "write the function for rollkane.Keeping yourself"
         raise FieldError("simulate.solver", solver, problem, remedy)
+    check_method(method)
+    given = {
+        "stepsize_controller": stepsize_controller is not None,
+        "adjoint": adjoint is not None,
+        "progress_meter": progress_meter is not None,
+    }
+    refusal = without_native(solver, given)
     start = _checked_start(system, start)
     dtype = start.q.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
     rtol, atol = tolerances(rtol, atol, dtype)
     refuse_start(system, times[0], start, rtol)
-    outcome = integrate(
-        _PROBLEM,
-        system,
-        start,
-        times,
+    run = functools.partial(
+        integrate,
+        *(_PROBLEM, system, start, times),
         rtol=rtol,
         atol=atol,
         solver=solver,
@@ -150,6 +164,8 @@ def simulate(
         max_steps=max_steps,
         progress_meter=progress_meter,
     )
+    kind = "kane", type(solver)
+    outcome, method, why = run_by(method, refusal, kind, (system, start), run)
     return KaneTrajectory(
         time=outcome.time,
         state=outcome.state,
@@ -160,6 +176,8 @@ def simulate(
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
         fault=outcome.fault,
+        method=method,
+        why=why,
     )
 
 

@@ -5,6 +5,7 @@ of the compiler's. What is the same at all stages of all steps is computed once 
 """
 
 import math
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -30,6 +31,11 @@ _FUNCTIONS = frozenset(
     log log1p max min pow rem sign sin sinh sqrt tan tanh
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
+# of whole numbers up to 2^53 (2^24 in single precision) a real one is exact
+_OF_WHOLE = frozenset(
+    "add sub neg max min clamp select_n convert_element_type".split()  # noqa: SIM905
+)
+_PLACE = re.compile(r"shared\[(\d+)\]")  # of a number that lies in memory
 
 
 class Symbol(NamedTuple):
@@ -40,12 +46,14 @@ class Symbol(NamedTuple):
         row: Whether every lane has its own.
         truth: Whether it is true or false.
         fixed: Whether it is the same at all stages.
+        whole: Whether it is a whole number; C keeps it as a real one.
     """
 
     text: str
     row: bool
     truth: bool = False
     fixed: bool = False
+    whole: bool = False
 
     @property
     def kind(self) -> str:
@@ -61,30 +69,63 @@ class Listing:
     Attributes:
         before: Symbols that all stages share, each with its expression.
         stage: Symbols that are computed at every stage.
+        tables: Known numbers that are looked up, and the names of such arrays in C.
     """
 
     def __init__(self):
         """An empty program."""
         self.before: list[tuple[Symbol, str]] = []
         self.stage: list[tuple[Symbol, str]] = []
-        self._written: dict[str, Symbol] = {}
+        self.tables: dict[str, str] = {}
+        self._written: dict[tuple[str, bool], Symbol] = {}
 
     def operate(self, name: str, params: Any, operands: list, dtype: Any) -> Symbol:
         """Write one operation; see :class:`rollkane.numberwise.Program`."""
-        truth = dtype == np.bool_
-        if not truth and not np.issubdtype(dtype, np.floating):
+        truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
+        if name == "lookup":
+            return self._looked_up(*operands)
+        if whole and name not in _OF_WHOLE:
             raise NotElementwiseError(f"{name} of whole numbers")
         known = [x for x in operands if isinstance(x, Symbol)]
         row = any(x.row for x in known)
         fixed = all(x.fixed for x in known)
         text = _expression(name, params, operands, row)
-        if text in self._written:  # computed before
-            return self._written[text]
-        statements = self.before if fixed else self.stage
-        symbol = Symbol(f"{'b' if fixed else 's'}{len(statements)}", row, truth, fixed)
+        return self._symbol(text, Symbol("", row, truth, fixed, whole))
+
+    def _symbol(self, text: str, like: Symbol) -> Symbol:
+        """What an expression gives: written once."""
+        if (text, like.whole) in self._written:  # computed before
+            return self._written[text, like.whole]
+        statements = self.before if like.fixed else self.stage
+        name = f"{'b' if like.fixed else 's'}{len(statements)}"
+        symbol = like._replace(text=name)
         statements.append((symbol, text))
-        self._written[text] = symbol
+        self._written[text, like.whole] = symbol
         return symbol
+
+    def _looked_up(self, index: Symbol, numbers: Numbers) -> Symbol:
+        """The number at an index, of numbers that are known or lie in an array in C."""
+        if all(isinstance(x, np.floating) for x in numbers):
+            values = ", ".join(literal(float(x)) for x in numbers)
+            table = self.tables.setdefault(values, f"table{len(self.tables)}")
+            stride = 1
+        else:
+            table, stride = _in_memory(numbers)
+        ending = "_row" if index.row else "_one"
+        text = f"lookup{ending}({table}, {stride}, {len(numbers)}, {index.text})"
+        return self._symbol(text, Symbol("", index.row, fixed=index.fixed))
+
+
+def _in_memory(numbers: Numbers) -> tuple[str, int]:
+    """Where numbers lie in an array in C, and how far apart."""
+    texts = [x.text if isinstance(x, Symbol) else "" for x in numbers]
+    found = [_PLACE.fullmatch(text) for text in texts]
+    places = [int(x[1]) for x in found if x is not None]
+    stride = places[1] - places[0] if len(places) > 1 else 1
+    first = places[0] if places else 0
+    if stride < 1 or places != [first + stride * i for i in range(len(texts))]:
+        raise NotElementwiseError("a lookup among numbers that are computed")
+    return f"shared + {first}", stride
 
 
 def _expression(name: str, params: Any, operands: list, row: bool) -> str:
@@ -116,8 +157,12 @@ def _converted(x: Symbol, dtype: Any, row: bool) -> str:
     if x.truth:
         one, zero = (_written(np.float64(value), row) for value in (1.0, 0.0))
         return f"choose{'_row' if row else '_one'}({x.text}, {one}, {zero})"
+    if dtype == np.bool_:
+        return f"{x.text} != (real)0"
+    if np.issubdtype(dtype, np.integer) and not x.whole:
+        return f"trunc{'_row' if row else '_one'}({x.text})"
     # real to real: a program has one precision
-    return f"{x.text} != (real)0" if dtype == np.bool_ else x.text
+    return x.text
 
 
 def _written(x: Any, as_row: bool) -> str:
@@ -126,10 +171,10 @@ def _written(x: Any, as_row: bool) -> str:
         text, spread, truth = x.text, as_row and not x.row, x.truth
     elif isinstance(x, np.bool_):
         text, spread, truth = str(int(x)), as_row, True
-    elif isinstance(x, np.floating):
+    elif isinstance(x, (np.floating, np.integer)):
         text, spread, truth = literal(float(x)), as_row, False
     else:
-        raise NotElementwiseError("whole numbers")
+        raise NotElementwiseError(f"a number of {type(x)}")
     if not spread:
         return text
     return f"mask_of({text})" if truth else f"splat({text})"
@@ -233,13 +278,19 @@ def as_functions(
     rows = [x for x in used if x.row]
     handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
     handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
+    tables = [
+        f"static const real {name}[] = {{{values}}};"
+        for values, name in listing.tables.items()
+    ]
     lines = [
         f"static void prepare{ending}({FIXED}, real *restrict u, row *restrict v) {{",
+        *tables,
         *_statements(listing.before),
         *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
         "}",
         f"static void rates{ending}({stage}, {FIXED}, {PREPARED},",
         f"    {', '.join(result.parameter for result in results)}) {{",
+        *tables,
         *(f"const {x.kind} {x.text} = ({x.kind}){place};" for place, _, x in handed),
         *body,
         "}",

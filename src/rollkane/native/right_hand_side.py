@@ -11,10 +11,18 @@ from ..checks import is_traced
 from ..numberwise import NotElementwiseError, Program, as_objects, numbers_of
 from .listing import Functions, Listing, Result, array, as_functions, in_order, symbols
 
+# A record's samples are looked up where they lie, whatever they are.
+_MOST_ZEROS = 64
+
 
 def zeros_of(x: Any) -> bytes:
-    """Which numbers of an array are zero, one byte for each; none if it is traced."""
-    return b"" if is_traced(x) else (np.asarray(x) == 0).tobytes()
+    """Which numbers of an array are zero, one byte for each.
+
+    None if it is traced, or too large for its zeros to be its structure.
+    """
+    if is_traced(x) or np.size(x) > _MOST_ZEROS:
+        return b""
+    return (np.asarray(x) == 0).tobytes()
 
 
 class Source(NamedTuple):

@@ -72,4 +72,18 @@ ONE(acos, acos) ONE(acosh, acosh) ONE(asin, asin) ONE(asinh, asinh) ONE(atan, at
 ONE(atanh, atanh) ONE(cbrt, cbrt) ONE(ceil, ceil) ONE(cos, cos) ONE(cosh, cosh)
 ONE(exp, exp) ONE(exp2, exp2) ONE(expm1, expm1) ONE(floor, floor) ONE(log, log)
 ONE(log1p, log1p) ONE(sin, sin) ONE(sinh, sinh) ONE(sqrt, sqrt) ONE(tan, tan)
-ONE(tanh, tanh) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
+ONE(tanh, tanh) ONE(trunc, trunc) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
+/* Of a table's every so manieth number the one of an index, the nearest if it has none;
+ * the first if that is not a number. */
+INLINE real lookup_one(const real *table, long stride, long count, real index) {
+    const real last = count - 1;
+    const long i = index > 0 ? (index < last ? (long)index : count - 1) : 0;
+    return table[i * stride];
+}
+INLINE row lookup_row(const real *table, long stride, long count, row index) {
+    row r;
+    for (int l = 0; l < LANES; l++) {
+        LANE(r, l) = lookup_one(table, stride, count, LANE(index, l));
+    }
+    return r;
+}

@@ -29,6 +29,7 @@ class SceneFile:
         times: Output times [s], shape (T,).
         rtol: Relative tolerance of a step [1], or None for the default.
         atol: Absolute tolerance of a step [unit of the state], or None.
+        method: Which loop makes the run, as ``rollkane.simulate`` takes it.
         second_contact: Whether the run ends at a second contact with the base.
         title: A line of text; the name where the file has none.
         description: Text; may be empty.
@@ -42,6 +43,7 @@ class SceneFile:
     times: np.ndarray
     rtol: float | None
     atol: float | None
+    method: str
     second_contact: bool
     title: str
     description: str
@@ -84,6 +86,7 @@ def load_scene(source: str | PathLike[str]) -> SceneFile:
         times=np.linspace(0.0, run.duration, run.outputs),
         rtol=run.rtol,
         atol=run.atol,
+        method=run.method,
         second_contact=run.second_contact,
         title=document.get("title") or name,
         description=document.get("description", ""),

@@ -294,6 +294,11 @@ class RunTable(Table):
     atol: Positive | None = Field(
         default=None, description="the absolute tolerance of a step, such as 1e-11"
     )
+    method: Literal["auto", "native", "diffrax"] = Field(
+        default="auto",
+        description='"native" for the loop in C, "diffrax", or "auto": native where it '
+        "can",
+    )
     second_contact: bool = Field(
         default=False,
         description="true to end the run where the body touches its base at a second "
