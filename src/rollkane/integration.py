@@ -283,10 +283,11 @@ def _not_by_times_jvp(primals, tangents):
 _warned: set[str] = set()
 
 
-def _warn_once(kind: type[Warning], what: str, text: str) -> None:
+def _warn_once(kind: type[Warning], what: str, text: str, below: int = 4) -> None:
+    """Warn of something once, at the line of the caller that many levels up."""
     if what not in _warned:
         _warned.add(what)
-        warnings.warn(text, kind, stacklevel=4)
+        warnings.warn(text, kind, stacklevel=below)
 
 
 def warn_single_precision(dtype) -> None:
@@ -308,6 +309,7 @@ def warn_without_compiler(why: str) -> None:
         "compiler",
         f"the loop in C is not to be had here, and diffrax takes its place, some ten "
         f"times slower: {why}",
+        below=5,
     )
 
 

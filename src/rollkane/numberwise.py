@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from jax.extend import core
 
-from .checks import is_traced
+from .rearrangements import MOVES, Numbers, as_objects, numbers_of
 
 # of one or more numbers gives one number, whatever the shape
 _ELEMENTWISE = frozenset(
@@ -66,7 +66,9 @@ _REDUCTIONS = {
     "reduce_or": "or",
 }
 
-Numbers = np.ndarray  # of objects: NumPy scalars where known, else a target's values
+# numbers of a loop that is written out: beyond, compilers take too long
+_MOST_NUMBERS = 50_000
+
 Operate = Callable[[str, Any, list, Any], Any]
 
 
@@ -122,28 +124,13 @@ class Program:
             return _Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
-def numbers_of(array: Any) -> Numbers:
-    """The numbers of an array, as objects: NumPy scalars, or JAX's if it is traced."""
-    if is_traced(array):
-        flat = jax.numpy.reshape(array, -1)
-        return as_objects(jax.numpy.unstack(flat) if flat.size else (), array.shape)
-    array = np.asarray(array)
-    numbers = np.empty(array.shape, object)
-    for index in np.ndindex(array.shape):
-        numbers[index] = array[index]
-    return numbers
-
-
-def as_objects(values: Any, shape: tuple[int, ...]) -> Numbers:
-    """Values in order as an array of objects: NumPy would look into them."""
-    numbers = np.empty(len(values), object)
-    for i, value in enumerate(values):
-        numbers[i] = value
-    return numbers.reshape(shape)
-
-
 def _alone(value: Any) -> Numbers:
     return as_objects([value], ())
+
+
+def _as_array(x: Any) -> Numbers:
+    """A row of numbers, of which NumPy gives the only one without its array."""
+    return x if isinstance(x, np.ndarray) else _alone(x)
 
 
 class _Walk:
@@ -187,10 +174,16 @@ class _Walk:
         if name == "dot_general" and not any(params["dimension_numbers"][1]):
             a, b = inputs
             return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]
-        if name in _MOVES:
-            return [_MOVES[name](inputs, params)]
+        if name in MOVES:
+            return [MOVES[name](inputs, params)]
         if name == "dynamic_slice":
             return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
+        return self.controlled(name, params, inputs)
+
+    def controlled(self, name: str, params: Any, inputs: list[Numbers]) -> list:
+        """What an equation gives that holds programs, and says which of them to run."""
+        if name == "scan":
+            return self.repeated(params, inputs)
         if name == "cond":
             return self.chosen(inputs[0][()], params["branches"], inputs[1:])
         raise NotElementwiseError(name)
@@ -278,6 +271,32 @@ class _Walk:
             ]
         return found
 
+    def repeated(self, params: Any, inputs: list[Numbers]) -> list[Numbers]:
+        """A loop of known length, turn by turn."""
+        inner, length = params["jaxpr"], params["length"]
+        sizes = (v.aval.size for e in inner.jaxpr.eqns for v in e.outvars)
+        if length * sum(sizes) > _MOST_NUMBERS:
+            raise NotElementwiseError("a long scan")
+        consts = [numbers_of(x) for x in inner.consts]
+        first, behind = params["num_consts"], params["num_carry"]
+        shared, carry = inputs[:first], inputs[first : first + behind]
+        rows = inputs[first + behind :]
+        turns = range(length)[:: -1 if params["reverse"] else 1]
+        kept: list[list[Numbers]] = []
+        for i in turns:
+            given = [*shared, *carry, *(x[i] for x in rows)]
+            found = self.through(inner.jaxpr, consts, [_as_array(x) for x in given])
+            carry = found[:behind]
+            kept.append(found[behind:])
+        kept = kept[:: -1 if params["reverse"] else 1]
+        shapes = [x.shape for x in inner.out_avals[behind:]]
+        columns = zip(*kept, strict=True) if kept else ([] for _ in shapes)
+        stacked = [
+            as_objects([v for x in column for v in x.reshape(-1)], (length, *shape))
+            for column, shape in zip(columns, shapes, strict=True)
+        ]
+        return [*carry, *stacked]
+
     def folded(self, name: str, numbers: list, dtype: Any) -> Any:
         """The sum, the largest and so on of some numbers."""
         total = numbers[0]
@@ -325,64 +344,6 @@ def _of_known(name: str, params: Any, operands: list, dtype: Any) -> Any:
     primitive = getattr(jax.lax, name + "_p")
     with jax.ensure_compile_time_eval():
         return dtype.type(primitive.bind(*map(jax.numpy.asarray, operands), **params))
-
-
-def _broadcast(inputs: list[Numbers], params: Any) -> Numbers:
-    spread = [1] * len(params["shape"])
-    axes = zip(params["broadcast_dimensions"], inputs[0].shape, strict=True)
-    for axis, size in axes:
-        spread[axis] = size
-    return np.broadcast_to(inputs[0].reshape(spread), params["shape"])
-
-
-def _sliced(inputs: list[Numbers], params: Any) -> Numbers:
-    starts, limits = params["start_indices"], params["limit_indices"]
-    strides = params["strides"] or (1,) * len(starts)
-    return inputs[0][tuple(map(slice, starts, limits, strides))]
-
-
-def _iota(inputs: list[Numbers], params: Any) -> Numbers:
-    del inputs
-    shape, axis = params["shape"], params["dimension"]
-    count = np.arange(shape[axis], dtype=params["dtype"])
-    along = [-1 if i == axis else 1 for i in range(len(shape))]
-    return numbers_of(np.broadcast_to(count.reshape(along), shape))
-
-
-def _padded(inputs: list[Numbers], params: Any) -> Numbers:
-    numbers, filling = inputs
-    gaps = params["padding_config"]
-    shape = [
-        low + high + n + max(n - 1, 0) * between
-        for n, (low, high, between) in zip(numbers.shape, gaps, strict=True)
-    ]
-    result = np.empty([max(n, 0) for n in shape], object)
-    result[...] = filling[()]
-    for index in np.ndindex(numbers.shape):
-        place = tuple(
-            low + i * (between + 1)
-            for i, (low, _, between) in zip(index, gaps, strict=True)
-        )
-        if all(0 <= i < n for i, n in zip(place, shape, strict=True)):
-            result[place] = numbers[index]
-    return result
-
-
-# bookkeeping: numbers change places, and nothing is computed
-_MOVES: dict[str, Callable[[list[Numbers], Any], Numbers]] = {
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda x, p: np.concatenate(x, p["dimension"]),
-    "expand_dims": lambda x, p: np.expand_dims(x[0], p["dimensions"]),
-    "iota": _iota,
-    "pad": _padded,
-    "reshape": lambda x, p: x[0].reshape(p["new_sizes"]),
-    "rev": lambda x, p: np.flip(x[0], p["dimensions"]),
-    "slice": _sliced,
-    "squeeze": lambda x, p: np.squeeze(x[0], tuple(p["dimensions"])),
-    "stack": lambda x, p: np.stack(x, p["axis"]),
-    "tile": lambda x, p: np.tile(x[0], p["reps"]),
-    "transpose": lambda x, p: x[0].transpose(p["permutation"]),
-}
 
 
 def _is(x: Any, value: float) -> bool:

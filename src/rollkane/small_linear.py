@@ -167,7 +167,7 @@ def _solve_by_columns(matrix: list[list[Array]], rhs: list[Array]) -> list[Array
 
     def substitute(x, j):
         known = jnp.sum(jnp.where(index > j, reduced[j, :n] * x, 0.0))
-        return x.at[j].set((reduced[j, n] - known) / reduced[j, j]), None
+        return jnp.where(index == j, (reduced[j, n] - known) / reduced[j, j], x), None
 
     reduced, _ = lax.scan(eliminate, whole, index)
     x, _ = lax.scan(substitute, jnp.zeros_like(reduced[:, n]), index, reverse=True)

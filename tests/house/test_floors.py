@@ -13,6 +13,7 @@ LADDER = [
     "codes",
     "one_call",
     "small_linear",
+    "rearrangements",
     "numberwise",
     "rotations",
     "user_function",

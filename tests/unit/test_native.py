@@ -1,5 +1,7 @@
 """The loop in C: what it can compute, and what it refuses."""
 
+import shutil
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,25 @@ from rollkane.native import LaneLoop, NoCompilerError, Queue, Stops
 from rollkane.native import compiler as compilers
 from rollkane.numberwise import NotElementwiseError
 from rollkane.tableau import weights_of
+
+TABLE = np.sin(np.arange(9.0))
+PLACES = np.arange(12.0).reshape(4, 3) ** 0.5
+
+
+def interpolated(x):
+    """Of a table, linearly: an index that is computed, beyond both ends, too."""
+    place = jnp.floor(5.0 * x).astype(int) + 2
+    table, share = jnp.asarray(TABLE, x.dtype), 5.0 * x - jnp.floor(5.0 * x)
+    return table[place] * (1.0 - share) + table[jnp.clip(place + 1, 0, 8)] * share
+
+
+def in_turns(x):
+    """A loop of known length, over rows and backwards."""
+    rows = jnp.asarray(TABLE[:6].reshape(3, 2), x.dtype)
+    step = lambda c, row: (0.5 * c + row[0] * x, c - row[1])
+    end, seen = jax.lax.scan(step, x, rows, reverse=True)
+    return end + jnp.sum(seen) * 0.1 + jax.lax.fori_loop(0, 3, lambda i, c: c * x, x)
+
 
 # a bounded rate from each operation that the C program knows, each of one number
 OPERATIONS = [
@@ -31,6 +52,21 @@ OPERATIONS = [
     lambda y, t: jnp.exp2(-y * y) + (y != 0.0).astype(y.dtype) + (-y),
     lambda y, t: jnp.arctanh(0.3 * jnp.cos(y)) + jnp.arccosh(2.0 + y * y),
     lambda y, t: jax.lax.rem(y + 5.0, jnp.full_like(y, 0.7)) - jax.lax.stop_gradient(y),
+    lambda y, t: interpolated(y),
+    lambda y, t: jnp.sum(
+        jax.lax.dynamic_slice(
+            jnp.asarray(PLACES, y.dtype),
+            (jnp.asarray(1), (4.0 * y).astype(int)),
+            (2, 2),
+        )
+    ),
+    lambda y, t: jax.lax.cond(y > 0.1, lambda: y * y, lambda: 0.2 - y),
+    lambda y, t: jax.lax.switch(
+        jnp.clip((3.0 * t).astype(int) - 1, -1, 4),
+        [lambda: y, lambda: t - y, lambda: 0.3 * y],
+    ),
+    lambda y, t: in_turns(y),
+    lambda y, t: (-(3.0 * y).astype(int)).astype(y.dtype) * 0.1,
 ]
 
 
@@ -44,10 +80,10 @@ def rates(t, y, shared, own):
     each = jnp.stack([f(y[i], t) for i, f in enumerate(OPERATIONS)])
     turned = jnp.flip(jnp.concatenate([each[1:], each[:1]]))
     own = own + 0.1 * outer(each[:2], own)[1]
-    mixed = (shared @ jnp.reshape(each, (2, 9)))[0] + jnp.sum(shared, axis=1)[1]
+    mixed = (shared @ jnp.reshape(each, (2, 12)))[0] + jnp.sum(shared, axis=1)[1]
     spread = jnp.max(jnp.broadcast_to(own[:, None], (2, 3)), axis=0)
-    padded = jnp.pad(jnp.transpose(mixed.reshape(3, 3)).reshape(9), (0, 9))
-    return 0.3 * turned + 0.1 * padded + 0.1 * jnp.resize(spread, 18)
+    padded = jnp.pad(jnp.transpose(mixed.reshape(3, 4)).reshape(12), (0, 12))
+    return 0.3 * turned + 0.1 * padded + 0.1 * jnp.resize(spread, 24)
 
 
 def shape(*axes, dtype=float):
@@ -161,7 +197,7 @@ def test_codes():
     assert few.code.tolist() == [Code.MAX_STEPS] * 3
     assert (few.steps + few.rejected_steps == 4).all()
     blowing = lambda t, y, shared, own: y * y
-    up = loop_of(blowing).run(queue_of(2, starts=np.full((2, 18), 2.0)), STOPS)
+    up = loop_of(blowing).run(queue_of(2, starts=np.full((2, 24), 2.0)), STOPS)
     assert up.code.tolist() == [Code.STEP_TOO_SMALL] * 2
     np.testing.assert_allclose(up.final_time, 0.5, rtol=1e-6)  # 1 / (1/2 - t)
 
@@ -170,10 +206,16 @@ def test_codes():
     ("derivative", "says"),
     [
         (lambda t, y, a, b: jnp.sort(y), "sort"),
-        (lambda t, y, a, b: jax.lax.scan(lambda c, _: (c, c), y, None, 2)[0], "scan"),
+        (
+            lambda t, y, a, b: jax.lax.fori_loop(0, 4000, lambda i, c: -c, y),
+            "long scan",
+        ),
+        (lambda t, y, a, b: jax.lax.while_loop(jnp.any, lambda c: c - 1, y), "while"),
+        (lambda t, y, a, b: y[jnp.argmin(y)] * y, "argmin"),
+        (lambda t, y, a, b: y * y[t.astype(int)], "among numbers that are computed"),
         (lambda t, y, a, b: y * jnp.argmax(y).astype(y.dtype), "argmax"),
     ],
-    ids=["sort", "scan", "argmax"],
+    ids=["sort", "scan", "while", "argmin", "lookup", "argmax"],
 )
 def test_more_than_arithmetic_is_refused(derivative, says):
     with pytest.raises(NotElementwiseError, match=says):
@@ -185,12 +227,46 @@ def test_without_a_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "no-such-compiler")
     compilers._compiler.cache_clear()
     with pytest.raises(
-        NoCompilerError, match='install one, or choose method="diffrax"'
+        NoCompilerError, match=r'install one, or `pip install "rollkane\[compiler\]"`'
     ):
         loop_of()
     monkeypatch.undo()
     compilers._compiler.cache_clear()
     loop_of()
+
+
+# stands for the package: its compiler is the system's
+ZIGLANG = """
+import os, sys
+assert sys.argv[1] == "cc", sys.argv
+for name in ("ZIG_LOCAL_CACHE_DIR", "ZIG_GLOBAL_CACHE_DIR", "TMPDIR"):
+    assert "rollkane" in os.environ[name], name
+os.execv({compiler!r}, [{compiler!r}, *sys.argv[2:]])
+"""
+
+
+def test_a_compiler_from_pip(monkeypatch, tmp_path):
+    """Where the system has none; its own files are kept in the cache folder."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    package, folder = tmp_path / "ziglang", tmp_path / "rollkane"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "__main__.py").write_text(ZIGLANG.format(compiler=compiler))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("ROLLKANE_CACHE", str(folder))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name in ("as", "ld"):  # what the system's compiler calls
+        (tools / name).symlink_to(shutil.which(name))
+    monkeypatch.setenv("PATH", str(tools))
+    monkeypatch.delenv("CC", raising=False)
+    compilers._compiler.cache_clear()
+    assert compilers._compiler(None).command[1:4] == ("-m", "ziglang", "cc")
+    results = loop_of().run(queue_of(3), STOPS)
+    assert results.code.tolist() == [0, 0, 0]
+    assert [x.suffix for x in folder.iterdir()] == [".so"]
+    compilers._compiler.cache_clear()
 
 
 def test_what_was_compiled_is_kept(monkeypatch, tmp_path):

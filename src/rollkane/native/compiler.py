@@ -1,18 +1,20 @@
-"""The system's C compiler: found, and asked."""
+"""A C compiler, the system's or one from pip: found, and asked."""
 
 import ctypes
 import functools
 import hashlib
+import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from .cache import UnusableError, loaded
+from .cache import UnusableError, loaded, private_folder
 
 # sqrt need not set errno, which a loop over lanes could not do in one instruction
 _FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared")
@@ -40,21 +42,25 @@ class _Compiler(NamedTuple):
 @functools.cache
 def _compiler(chosen: str | None) -> _Compiler:
     names = filter(None, (chosen, "cc", "gcc", "clang"))
-    found = next(filter(None, map(shutil.which, names)), None)
-    if found is None:
+    found = [(path,) for path in map(shutil.which, names) if path is not None][:1]
+    if not found and importlib.util.find_spec("ziglang") is not None:
+        found = [(sys.executable, "-m", "ziglang", "cc")]
+    if not found:
         raise NoCompilerError(
-            "no C compiler was found (CC, cc, gcc, clang): install one, or choose "
-            'method="diffrax"'
+            "no C compiler was found (CC, cc, gcc, clang, ziglang): install one, or "
+            '`pip install "rollkane[compiler]"`, or choose method="diffrax"'
         )
+    (words,) = found
     for processor in _PROCESSOR:
-        command = (found, *_FLAGS, *processor)
+        command = (*words, *_FLAGS, *processor)
         asked = (*command, "-E", "-dM", "-x", "c", os.devnull)
-        told = _run(asked)
+        own = None if len(words) == 1 else private_folder()
+        told = _run(asked, places=None if own is None else _places(own, own))
         if told.returncode == 0:
             return _Compiler(command, hashlib.sha256(told.stdout).hexdigest())
     raise NoCompilerError(
-        f"{found} does not know {' '.join(_FLAGS)}: set CC to gcc or clang, or choose "
-        'method="diffrax"'
+        f"{' '.join(words)} does not know {' '.join(_FLAGS)}: set CC to gcc or clang, "
+        'or choose method="diffrax"'
     )
 
 
@@ -128,7 +134,7 @@ class _FailedError(OSError):
 def _compile(compiler: tuple[str, ...], source: str, target: Path) -> None:
     """Compile to a file, with the compiler's own temporary files beside it."""
     command = (*compiler, "-x", "c", "-", "-o", str(target), "-lm")
-    done = _run(command, source, os.environ | {"TMPDIR": str(target.parent)})
+    done = _run(command, source, _places(target.parent, target.parent.parent))
     if done.returncode == 0:
         return
     told = done.stderr.decode(errors="replace").strip()
@@ -139,10 +145,20 @@ def _compile(compiler: tuple[str, ...], source: str, target: Path) -> None:
     raise failed
 
 
+def _places(own: Path, kept: Path) -> dict[str, str]:
+    """Where a compiler has its files, and Zig what it makes of the C library."""
+    return {
+        "TMPDIR": str(own),
+        "ZIG_LOCAL_CACHE_DIR": str(own),
+        "ZIG_GLOBAL_CACHE_DIR": str(kept / "zig"),
+    }
+
+
 def _run(
-    command: tuple[str, ...], text: str = "", environment: dict[str, str] | None = None
+    command: tuple[str, ...], text: str = "", places: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess:
     """Ask a compiler, and wait for its answer."""
+    environment = None if places is None else os.environ | places
     try:
         return subprocess.run(
             command,

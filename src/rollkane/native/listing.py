@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..numberwise import NotElementwiseError, Numbers, as_objects
+from ..numberwise import NotElementwiseError
+from ..rearrangements import Numbers, as_objects
 
 # how XLA's operations are written: between two numbers, or as functions of rows.h
 _ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}

@@ -8,7 +8,8 @@ import jax
 import numpy as np
 
 from ..checks import is_traced
-from ..numberwise import NotElementwiseError, Program, as_objects, numbers_of
+from ..numberwise import NotElementwiseError, Program
+from ..rearrangements import as_objects, numbers_of
 from .listing import Functions, Listing, Result, array, as_functions, in_order, symbols
 
 # A record's samples are looked up where they lie, whatever they are.
