@@ -278,7 +278,8 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
         most = _RECORDED_STEPS if recording else UNRECORDED_STEPS
     ended = loop(y0, course, most)
     # a start from which no step can be taken is none: as by diffrax
-    begun = jnp.where(ended.steps > 0, y0, jnp.nan)
+    stuck = (ended.steps == 0) & (ended.rejected_steps > 0)
+    begun = jnp.where(stuck, jnp.nan, y0)
     outcome = Solution(
         time=times,
         y=jnp.concatenate([begun[None], ended.y]),

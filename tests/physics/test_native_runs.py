@@ -89,6 +89,63 @@ def test_derivatives_batches_and_the_way_back():
     assert np.abs(np.asarray(forward[0][:, 0])).min() > 1e-3
 
 
+def test_a_batch_goes_in_lanes():
+    """In blocks on every processor: as alone, whatever differs, and in batches of such.
+
+    More than 128 are two blocks. One that cannot begin fails alone.
+    """
+    count = 300
+    _, start = shaken()
+    masses = 1.0 + 0.001 * jnp.arange(float(count))
+    swing = jnp.linspace(0.4, 0.6, count)
+    spins = start.angular_velocity[None] + jnp.linspace(0.0, 1.0, count)[:, None]
+    spins = spins.at[7, 1].set(jnp.nan)
+
+    def end(mass, depth, spin, times=TIMES):
+        moved, _ = shaken(depth, mass)
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        run = rk.simulate(moved, begun, times, solver=dfx.Tsit5())
+        assert run.method == "native"
+        return run.state, run.final_state, run.code, run.steps, run.final_time
+
+    together = jax.jit(jax.vmap(end))(masses, swing, spins)
+    alone = jax.jit(end)
+    for i in (0, 1, 7, 128, 299):
+        one = alone(masses[i], swing[i], spins[i])
+        same(jax.tree.map(lambda x, i=i: x[i], together), one)
+    assert jnp.sum(together[2] != rk.Code.COMPLETED) == 1
+    assert together[2][7] == rk.Code.BAD_START
+    twice = lambda x: x.reshape(2, 150, *x.shape[1:])
+    rows = jax.vmap(jax.vmap(end))(*map(twice, (masses, swing, spins)))
+    shapes = jax.tree.map(lambda x: x.reshape(count, *x.shape[2:]), rows)
+    same(shapes, together)
+    # one scene for all, and times for each
+    shared = jax.vmap(end, (None, None, 0))(1.0, 0.5, spins[:3])
+    times = jnp.stack([TIMES, 0.5 * TIMES, TIMES])
+    own_times = jax.vmap(end, (None, None, 0, 0))(1.0, 0.5, spins[:3], times)
+    for i in (0, 2):
+        pick = lambda x, i=i: x[i]
+        same(*(jax.tree.map(pick, x) for x in (own_times, shared)))
+    assert own_times[4].tolist() == [0.3, 0.15, 0.3]
+
+
+def test_a_batch_by_what_a_function_closes_over():
+    """A height that differs from motion to motion, and is no part of the scene."""
+
+    def end(height):
+        ground = rk.Graph(lambda x, y: height * x * x)
+        body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+        scene = rk.Scene(body, rk.Base(ground))
+        upright, at = [1.0, 0.0, 0.0, 0.0], jnp.stack([0.1, 0.0, 0.01 * height])
+        start = rk.place(scene, upright, [0.5, 2.0, 1.0], at)
+        return rk.simulate(scene, start, TIMES).position[-1]
+
+    heights = jnp.array([0.1, 0.2, 0.4])
+    ends = jax.jit(jax.vmap(end))(heights)
+    same(ends, jnp.stack([jax.jit(end)(h) for h in heights]))
+    assert np.ptp(ends[:, 0]) > 1e-5
+
+
 def test_a_run_that_cannot_go_on_says_so():
     scene, start = disc()
     run = lambda start, times, most: rk.simulate(

@@ -17,7 +17,7 @@ import numpy as np
 from .cache import UnusableError, loaded, private_folder
 
 # sqrt need not set errno, which a loop over lanes could not do in one instruction
-_FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared")
+_FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared", "-pthread")
 # C's names of other numbers than double, and how it calls its functions for them
 _REALS = {
     np.dtype(np.float32): ("float", "name##f"),

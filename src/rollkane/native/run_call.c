@@ -1,32 +1,12 @@
-/* One motion in the loop over lanes, called from XLA. Before this text: xla_call.h and
- * lane_loop.c with one lane.
+/* One motion in the loop over lanes, called from XLA; of a batch, one after the other on
+ * every processor. Before this text: xla_call.h, lane_loop.c with one lane, settle_stops.h
+ * and threads.h.
  */
 
 enum { SHARED_AT, Y_AT, ATOL_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT, TIMES_AT };
 
-/* Leave of a queue's stops those behind its first time, each once; those that are infinite
- * are none. Their slots are the outputs that they are, of several the last; -1 for none. */
-static void settle_stops(Queue *q, const real *times, real *ends, real *begins,
-                         int64_t *slots) {
-    const long given = q->stops;
-    real last = q->time;
-    long output = 0;
-    q->stops = 0;
-    while (output < q->outputs && times[output] <= last) output++;
-    for (long i = 0; i < given && isfinite(q->ends[i]); i++) {
-        const real end = q->ends[i], begin = q->begins[i];
-        if (!(end > last)) continue;
-        int64_t slot = -1;
-        while (output < q->outputs && end <= times[output] && times[output] <= begin)
-            slot = output++;
-        ends[q->stops] = last = end;
-        begins[q->stops] = begin;
-        slots[q->stops++] = slot;
-    }
-    q->ends = ends, q->begins = begins, q->slots = slots;
-}
-
-static void run_member(const Call *call, long b) {
+static void run_member(void *job, long b) {
+    const Call *call = job;
     const real *numbers = member(call, NUMBERS_AT, b);
     const real *times = member(call, TIMES_AT, b);
     const long given = size_of(&call->given[ENDS_AT]);
@@ -85,6 +65,6 @@ void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 1, 1, 1, 1, 1, 1};
     Call call;
     if (!received(frame, axes, 2, &call)) return NULL;
-    for (long b = 0; b < call.batch; b++) run_member(&call, b);
+    in_parallel(run_member, &call, call.batch);
     return NULL;
 }

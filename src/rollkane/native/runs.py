@@ -1,12 +1,16 @@
-"""One run in the loop over lanes, within XLA's programs."""
+"""Runs in the loop over lanes, within XLA's programs: one, or a batch."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
 from jaxtyping import Array, Float
 
+from ..checks import is_traced
 from ..tableau import Weights
 from .right_hand_side import lanes_source
 from .step_source import attempt_source
@@ -64,7 +68,10 @@ class Ended(NamedTuple):
 
 
 class RunLoop:
-    """A right-hand side compiled together with the loop that integrates it."""
+    """A right-hand side compiled together with the loop that integrates it.
+
+    One motion, or under ``jax.vmap`` all of a batch, in lanes, on every processor.
+    """
 
     def __init__(
         self,
@@ -92,38 +99,111 @@ class RunLoop:
             NoCompilerError: no C compiler.
         """
         state = jax.ShapeDtypeStruct(state.shape, state.dtype)
-        own = [False] * len(leaves)
-        made = lanes_source(derivative, state, leaves, own, zeros, watch)
-        self._shared = in_one([*leaves, *made.closed], state.dtype)
-        self._between = between
+        zeros = [b""] * len(leaves) if zeros is None else zeros
+        self._rates, closed = _opened(derivative, state, leaves)
+        self._watch, seen = None, []
+        if watch is not None:
+            self._watch, seen = _opened(watch, state, leaves, len(closed))
+        self._leaves = [*leaves, *closed, *seen]
+        self._zeros = [*zeros, *[b""] * (len(closed) + len(seen))]
+        self._state, self._weights, self._between = state, weights, between
+        self._one = self._compiled([False] * len(self._leaves), 1, "run_call.c")
+
+    def _compiled(self, own: list[bool], lanes: int, caller: str) -> XlaCall:
+        """The loop, for leaves some of which differ from motion to motion."""
+        state, weights = self._state, self._weights
+        like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._leaves]
+        zeros = [
+            b"" if differs else known
+            for known, differs in zip(self._zeros, own, strict=True)
+        ]
+        made = lanes_source(self._rates, state, like, own, zeros, self._watch)
+        record = self._between if lanes == 1 else 0
+        sizes = zip(like, own, strict=True)
         head = {
             "N": state.shape[0],
-            "OWN": 0,
+            "OWN": sum(math.prod(x.shape) for x, differs in sizes if differs),
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
-            "RECORD": int(between > 0),
-            "BETWEEN": between,
+            "RECORD": int(record > 0),
+            "BETWEEN": record,
             **made.head,
         }
-        parts = (
-            made.text,
-            attempt_source(weights),
-            "lane_loop.c",
-            "run_call.c",
-        )
-        self._call = XlaCall(state.dtype, 1, head, parts)
+        loop = "lane_loop.c", "settle_stops.h", "threads.h", caller
+        parts = made.text, attempt_source(weights), *loop
+        return XlaCall(state.dtype, lanes, head, parts)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
         """Integrate a start, with this many steps at most, rejected ones too."""
+        outputs = course.outputs.shape[0]
         n, dtype = y.shape[0], y.dtype
-        shapes: list[tuple[int, ...]] = [(*course.outputs.shape, n), (n,), (4,)]
+        shapes: list[tuple[int, ...]] = [(outputs, n), (n,), (4,)]
         if self._between:
             shapes += [(most + 1,), (most // self._between + 1, n)]
         numbers = course.time * course.sense, course.sense, course.rtol, course.dtmin
-        numbers = jnp.stack([*numbers, course.first_step, jnp.asarray(most, dtype)])
-        stops = course.ends, course.begins, course.outputs
-        found = self._call(tuple(shapes), self._shared, y, course.atol, numbers, *stops)
+        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype)])
+        stops = numbers, course.ends, course.begins, course.outputs
+
+        def alone(leaves, y, atol, first_step, numbers, *stops):
+            shared = in_one(leaves, dtype)
+            numbers = jnp.concatenate([numbers[:4], first_step[None], numbers[4:]])
+            return self._one(tuple(shapes), shared, y, atol, numbers, *stops)
+
+        call = jax.custom_batching.custom_vmap(alone)
+
+        @call.def_vmap
+        def _(size, batched, leaves, *rest):
+            differs, *others = batched
+            if self._between or any(others[3:]):  # recorded, or at times of their own
+                axes = jax.tree.map(lambda x: 0 if x else None, tuple(batched))
+                found = jax.vmap(alone, in_axes=axes)(leaves, *rest)
+            else:
+                found = self._together(size, differs, others, leaves, rest, outputs)
+            return found, [True] * len(found)
+
+        leaves = self._leaves
+        found = call(leaves, y, course.atol, course.first_step, *stops)
         y, final_y, told, *record = found
         whole = told[1:].astype(int)
         steps = (record[0], record[1]) if record else None
         return Ended(y, final_y, told[0], *whole, record=steps)
+
+    def _together(self, size, differs, others, leaves, rest, outputs) -> list[Array]:
+        """A batch of motions at the same times, in lanes."""
+        n, dtype = self._state.shape[0], self._state.dtype
+        every = [
+            x if batched else jnp.broadcast_to(x, (size, *x.shape))
+            for x, batched in zip(rest[:3], others[:3], strict=True)
+        ]
+        pairs = list(zip(leaves, differs, strict=True))
+        own = [x.reshape(size, -1) for x, mine in pairs if mine]
+        own = jnp.concatenate([jnp.zeros((size, 0), dtype), *own], axis=1)
+        shared = in_one([x for x, mine in pairs if not mine], dtype)
+        lanes = 64 // np.dtype(dtype).itemsize
+        loop = self._compiled(list(differs), lanes, "batch_call.c")
+        shapes = (size, outputs, n), (size, n), (size, 4)
+        return loop(shapes, shared, own, *every, *rest[3:])
+
+
+def _opened(
+    function: Callable, state: Any, leaves: list[Array], before: int = 0
+) -> tuple[Callable, list[Array]]:
+    """A function with the traced arrays that it closes over as arguments.
+
+    Behind the leaves, and behind ``before`` others that it does not look at. In a batch
+    they may differ from motion to motion as well.
+    """
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
+    time = jax.ShapeDtypeStruct((), state.dtype)
+    traced = jax.make_jaxpr(function)(time, state, *like)
+    places = [i for i, x in enumerate(traced.consts) if is_traced(x)]
+
+    def opened(t, y, *arguments):
+        consts, first = list(traced.consts), len(leaves) + before
+        for place, x in zip(places, arguments[first:], strict=False):
+            consts[place] = x
+        again = core.jaxpr_as_fun(core.ClosedJaxpr(traced.jaxpr, consts))
+        (found,) = again(t, y, *arguments[: len(leaves)])
+        return found
+
+    return opened, [traced.consts[i] for i in places]

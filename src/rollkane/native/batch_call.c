@@ -1,0 +1,84 @@
+/* A batch of motions in the loop over lanes, called from XLA: blocks of it on every
+ * processor. Before this text: xla_call.h, lane_loop.c, settle_stops.h and threads.h.
+ */
+
+enum { SHARED_AT, OWN_AT, Y_AT, ATOL_AT, FIRST_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT,
+       TIMES_AT };
+enum { TOLD = 4 }; /* final time, code, steps, rejected steps */
+
+typedef struct {
+    Queue q; /* of all */
+    real *y, *final_y, *told;
+    long block;
+} Batch;
+
+static void run_block(void *job, long part) {
+    const Batch *all = job;
+    const long first = part * all->block;
+    Queue q = all->q;
+    q.count = q.count - first < all->block ? q.count - first : all->block;
+    q.starts += first * N, q.atol += first * N, q.own += first * OWN;
+    q.first_steps += first;
+    real *y = all->y + first * q.outputs * N, *told = all->told + first * TOLD;
+    real *final_y = all->final_y + first * N;
+    int64_t *steps = malloc(2 * q.count * sizeof *steps), *rejected = steps + q.count;
+    real *final_time = malloc(q.count * sizeof *final_time);
+    int32_t *code = malloc(q.count * sizeof *code);
+    const Results out = {y, code, final_time, final_y, steps, rejected};
+    for (long i = 0; i < q.count * q.outputs * N; i++) y[i] = (real)NAN;
+    if (q.stops)
+        integrate(&q, &out);
+    else { /* no time to go to */
+        memcpy(final_y, q.starts, q.count * N * sizeof *final_y);
+        for (long i = 0; i < q.count; i++)
+            code[i] = BAD_START, steps[i] = rejected[i] = 0, final_time[i] = q.time;
+    }
+    for (long i = 0; i < q.count; i++, told += TOLD) {
+        told[0] = q.sense * final_time[i], told[1] = (real)code[i];
+        told[2] = (real)steps[i], told[3] = (real)rejected[i];
+    }
+    free(steps), free(final_time), free(code);
+}
+
+static void run_batch(const Call *call, long b) {
+    const real *numbers = member(call, NUMBERS_AT, b);
+    const long given = size_of(&call->given[ENDS_AT]);
+    Batch all = {
+        .q = {
+            .count = size_of(&call->given[FIRST_AT]),
+            .outputs = size_of(&call->given[TIMES_AT]),
+            .stops = given,
+            .starts = member(call, Y_AT, b),
+            .own = member(call, OWN_AT, b),
+            .shared = member(call, SHARED_AT, b),
+            .atol = member(call, ATOL_AT, b),
+            .first_steps = member(call, FIRST_AT, b),
+            .ends = member(call, ENDS_AT, b),
+            .begins = member(call, BEGINS_AT, b),
+            .time = numbers[0],
+            .sense = numbers[1],
+            .rtol = numbers[2],
+            .dtmin = numbers[3],
+            .max_steps = (int64_t)numbers[4],
+        },
+        .y = wanted(call, 0, b),
+        .final_y = wanted(call, 1, b),
+        .told = wanted(call, 2, b),
+    };
+    int64_t *slots = malloc((given + 1) * sizeof *slots);
+    real *ends = malloc(2 * (given + 1) * sizeof *ends);
+    settle_stops(&all.q, member(call, TIMES_AT, b), ends, ends + given + 1, slots);
+    /* some blocks for each, so that none waits long; long ones, as lanes idle at the end */
+    const long count = all.q.count, fair = count / (4 * processors()) + 1;
+    all.block = fair < 16 * LANES ? 16 * LANES : fair;
+    in_parallel(run_block, &all, (count + all.block - 1) / all.block);
+    free(slots), free(ends);
+}
+
+void *called_by_xla(const CallFrame *frame) {
+    static const int axes[] = {1, 2, 2, 2, 1, 1, 1, 1, 1};
+    Call call;
+    if (!received(frame, axes, 3, &call)) return NULL;
+    for (long b = 0; b < call.batch; b++) run_batch(&call, b); /* of a batch of batches */
+    return NULL;
+}
