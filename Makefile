@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-peers accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -45,6 +45,9 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 	$(BIN)/python benchmarks/contact_changes.py --out benchmarks/results
+
+bench-engine: $(VENV)/.bench
+	$(BIN)/python benchmarks/engine.py --out benchmarks/results
 
 bench-peers: $(VENV)/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 	$(BIN)/python benchmarks/compare.py --out benchmarks/results

@@ -106,12 +106,12 @@ def load() -> tuple[CPeer | None, str]:
         if not shown:
             return None, reason
         try:
-            return CPeer(_declare(ctypes.CDLL(str(target))), shown), ""
+            return CPeer(declared(ctypes.CDLL(str(target))), shown), ""
         except OSError as error:
             return None, f"the compiled library does not load: {error}"
 
 
-def _declare(library: ctypes.CDLL) -> ctypes.CDLL:
+def declared(library: ctypes.CDLL) -> ctypes.CDLL:
     """Declare the two entry points of dopri5.c."""
     double, long = ctypes.c_double, ctypes.POINTER(ctypes.c_long)
     shared = [ctypes.c_int, _Vector, *[double] * 3, _Vector, long, long, long]

@@ -99,8 +99,9 @@ def run_by(
         return Taken(run(native=False), method, _CHOSEN)
     if refusal is None and _refusals:
         refusal = _refusals.get((kind, _form_of(model)))
-    machine = tuple(map(os.environ.get, _MACHINE))
-    unusable = _unusable.get(machine) if refusal is None else None
+    unusable = None
+    if refusal is None and _unusable:
+        unusable = _unusable.get(_machine())
     if refusal is None and unusable is None:
         try:
             return Taken(run(native=True), "native", "")
@@ -108,12 +109,16 @@ def run_by(
             refusal = f"the rates are more than arithmetic: {error}"
             _refusals[kind, _form_of(model)] = refusal
         except NoCompilerError as error:
-            unusable = _unusable[machine] = str(error)
+            unusable = _unusable[_machine()] = str(error)
     if unusable is not None:
         warn_without_compiler(unusable)
     elif method == "native":
         raise NotNativeError(f"cannot do this: {refusal}")
     return Taken(run(native=False), "diffrax", unusable or refusal or "")
+
+
+def _machine() -> Hashable:
+    return tuple(map(os.environ.get, _MACHINE))
 
 
 def _form_of(model: Any) -> Hashable:

@@ -129,6 +129,33 @@ def test_a_batch_goes_in_lanes():
     assert own_times[4].tolist() == [0.3, 0.15, 0.3]
 
 
+def test_a_batch_of_records():
+    """Samples are looked up where they lie: shared by all lanes, or one by one."""
+    time = np.linspace(0.0, 0.3, 16)
+    shake = np.sin(40.0 * time)
+    start = disc()[1]
+
+    def end(strength, spin):
+        motion = rk.RecordedMotion(time, strength * jnp.asarray(shake))
+        scene = eqx.tree_at(
+            lambda s: s.base.motion, disc()[0], motion, is_leaf=lambda x: x is None
+        )
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        run = rk.simulate(scene, begun, TIMES)
+        assert run.method == "native"
+        return run.state, run.steps
+
+    spins = start.angular_velocity[None] * jnp.array([[1.0], [1.1], [1.2]])
+    strengths = jnp.array([1.0, 2.0, 3.0])
+    alone = jax.jit(end)
+    shared = jax.jit(jax.vmap(end, (None, 0)))(2.0, spins)
+    differing = jax.jit(jax.vmap(end))(strengths, spins)
+    for i in range(3):
+        pick = lambda x, i=i: x[i]
+        same(jax.tree.map(pick, shared), alone(2.0, spins[i]))
+        same(jax.tree.map(pick, differing), alone(strengths[i], spins[i]))
+
+
 def test_a_batch_by_what_a_function_closes_over():
     """A height that differs from motion to motion, and is no part of the scene."""
 

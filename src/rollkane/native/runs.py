@@ -1,5 +1,6 @@
 """Runs in the loop over lanes, within XLA's programs: one, or a batch."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ from jax.extend import core
 from jaxtyping import Array, Float
 
 from ..checks import is_traced
+from ..numberwise import NotElementwiseError
 from ..tableau import Weights
 from .right_hand_side import lanes_source
 from .step_source import attempt_source
@@ -135,54 +137,64 @@ class RunLoop:
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
         """Integrate a start, with this many steps at most, rejected ones too."""
-        outputs = course.outputs.shape[0]
-        n, dtype = y.shape[0], y.dtype
-        shapes: list[tuple[int, ...]] = [(outputs, n), (n,), (4,)]
-        if self._between:
-            shapes += [(most + 1,), (most // self._between + 1, n)]
+        dtype = y.dtype
         numbers = course.time * course.sense, course.sense, course.rtol, course.dtmin
         numbers = jnp.stack([*numbers, jnp.asarray(most, dtype)])
-        stops = numbers, course.ends, course.begins, course.outputs
-
-        def alone(leaves, y, atol, first_step, numbers, *stops):
-            shared = in_one(leaves, dtype)
-            numbers = jnp.concatenate([numbers[:4], first_step[None], numbers[4:]])
-            return self._one(tuple(shapes), shared, y, atol, numbers, *stops)
-
+        alone = functools.partial(self._alone, most)
         call = jax.custom_batching.custom_vmap(alone)
 
         @call.def_vmap
-        def _(size, batched, leaves, *rest):
-            differs, *others = batched
-            if self._between or any(others[3:]):  # recorded, or at times of their own
+        def _(size, batched, leaves, start, *course):
+            differs, begun, *others = batched
+            loop = None
+            if not self._between and not any(others):
+                loop = self._of_lanes(tuple(differs))
+            if loop is None:  # recorded, or at times or by tables of their own
                 axes = jax.tree.map(lambda x: 0 if x else None, tuple(batched))
-                found = jax.vmap(alone, in_axes=axes)(leaves, *rest)
+                found = jax.vmap(alone, in_axes=axes)(leaves, start, *course)
             else:
-                found = self._together(size, differs, others, leaves, rest, outputs)
+                spread = lambda x, theirs: (
+                    x if theirs else jnp.broadcast_to(x, (size, *x.shape))
+                )
+                every = list(map(spread, start, begun))
+                pairs = list(zip(leaves, differs, strict=True))
+                own = [x.reshape(size, -1) for x, theirs in pairs if theirs]
+                own = jnp.concatenate([jnp.zeros((size, 0), dtype), *own], axis=1)
+                shared = in_one([x for x, theirs in pairs if not theirs], dtype)
+                shapes = [(size, *shape) for shape in self._shapes(course[-1])]
+                found = loop(tuple(shapes), shared, own, *every, *course)
             return found, [True] * len(found)
 
-        leaves = self._leaves
-        found = call(leaves, y, course.atol, course.first_step, *stops)
-        y, final_y, told, *record = found
+        start = y, course.atol, course.first_step
+        stops = course.ends, course.begins, course.outputs
+        y, final_y, told, *record = call(self._leaves, start, numbers, *stops)
         whole = told[1:].astype(int)
         steps = (record[0], record[1]) if record else None
         return Ended(y, final_y, told[0], *whole, record=steps)
 
-    def _together(self, size, differs, others, leaves, rest, outputs) -> list[Array]:
-        """A batch of motions at the same times, in lanes."""
-        n, dtype = self._state.shape[0], self._state.dtype
-        every = [
-            x if batched else jnp.broadcast_to(x, (size, *x.shape))
-            for x, batched in zip(rest[:3], others[:3], strict=True)
-        ]
-        pairs = list(zip(leaves, differs, strict=True))
-        own = [x.reshape(size, -1) for x, mine in pairs if mine]
-        own = jnp.concatenate([jnp.zeros((size, 0), dtype), *own], axis=1)
-        shared = in_one([x for x, mine in pairs if not mine], dtype)
-        lanes = 64 // np.dtype(dtype).itemsize
-        loop = self._compiled(list(differs), lanes, "batch_call.c")
-        shapes = (size, outputs, n), (size, n), (size, 4)
-        return loop(shapes, shared, own, *every, *rest[3:])
+    def _shapes(self, outputs: Array) -> list[tuple[int, ...]]:
+        """Of a motion's states at the outputs, its last one, and what is told of it."""
+        n = self._state.shape[0]
+        return [(outputs.shape[-1], n), (n,), (4,)]
+
+    def _alone(self, most: int, leaves, start, numbers, ends, begins, outputs):
+        """One motion; in a batch one after the other."""
+        y, atol, first_step = start
+        shapes = self._shapes(outputs)
+        if self._between:
+            shapes += [(most + 1,), (most // self._between + 1, y.shape[0])]
+        shared = in_one(leaves, y.dtype)
+        numbers = jnp.concatenate([numbers[:4], first_step[None], numbers[4:]])
+        given = shared, y, atol, numbers, ends, begins, outputs
+        return self._one(tuple(shapes), *given)
+
+    def _of_lanes(self, differs: tuple[bool, ...]) -> XlaCall | None:
+        """The loop for a batch at the same times; None: not where tables differ."""
+        lanes = 64 // np.dtype(self._state.dtype).itemsize
+        try:
+            return self._compiled(list(differs), lanes, "batch_call.c")
+        except NotElementwiseError:
+            return None
 
 
 def _opened(
