@@ -178,14 +178,16 @@ class _Walk:
             return [MOVES[name](inputs, params)]
         if name == "dynamic_slice":
             return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
-        return self.controlled(name, params, inputs)
+        return self.controlled(equation, inputs)
 
-    def controlled(self, name: str, params: Any, inputs: list[Numbers]) -> list:
+    def controlled(self, equation: Any, inputs: list[Numbers]) -> list:
         """What an equation gives that holds programs, and says which of them to run."""
+        name = equation.primitive.name
         if name == "scan":
-            return self.repeated(params, inputs)
+            return self.repeated(equation, inputs)
         if name == "cond":
-            return self.chosen(inputs[0][()], params["branches"], inputs[1:])
+            branches = equation.params["branches"]
+            return self.chosen(inputs[0][()], branches, inputs[1:])
         raise NotElementwiseError(name)
 
     def elementwise(self, name, params, inputs, shape, dtype) -> Numbers:
@@ -271,14 +273,20 @@ class _Walk:
             ]
         return found
 
-    def repeated(self, params: Any, inputs: list[Numbers]) -> list[Numbers]:
+    def repeated(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
         """A loop of known length, turn by turn."""
+        params = equation.params
         inner, length = params["jaxpr"], params["length"]
         sizes = (v.aval.size for e in inner.jaxpr.eqns for v in e.outvars)
         if length * sum(sizes) > _MOST_NUMBERS:
             raise NotElementwiseError("a long scan")
         consts = [numbers_of(x) for x in inner.consts]
-        first, behind = params["num_consts"], params["num_carry"]
+        # how many of each releases tell in ways of their own: rows have an axis more
+        axes = lambda values: [v.ndim for v in values]
+        outer, turned = axes(v.aval for v in equation.outvars), axes(inner.out_avals)
+        behind = sum(map(operator.eq, outer, turned))
+        scanned = sum(map(operator.ne, axes(inputs), axes(inner.in_avals)))
+        first = len(inputs) - behind - scanned
         shared, carry = inputs[:first], inputs[first : first + behind]
         rows = inputs[first + behind :]
         turns = range(length)[:: -1 if params["reverse"] else 1]
