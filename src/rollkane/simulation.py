@@ -283,7 +283,7 @@ _PROBLEMS = {
 def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
     """The code, once it is seen what a small step was."""
     code, t, state = outcome.code, outcome.final_time, outcome.final_state
-    if not is_traced(code) and not bool(is_stuck(code)):
+    if not is_traced(code) and not is_stuck(int(code)):
         return code  # nothing to explain, and nothing to compile
     bad = outcome.fault != NO_FAULT
     if explains_ends(scene, state):
