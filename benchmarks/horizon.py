@@ -118,7 +118,7 @@ def measure(problem, revolutions: int) -> list[dict]:
     end = revolutions * 2.0 * np.pi / spin
     rows = []
     for name, how in choices(scene, start, spin):
-        how = how | {"max_steps": 2**31 - 1}
+        how = how | {"max_steps": 2**31 - 1, "method": "diffrax"}
         times = np.linspace(0.0, end, POINTS)
         short = np.linspace(0.0, end / revolutions, POINTS)
         jax.block_until_ready(rk.simulate(scene, start, short, **how).state)  # compile

@@ -82,9 +82,8 @@ def measure(scene, start, times, solver, truth, repeats):
     rows = []
 
     def run(rtol):
-        result = rk.simulate(
-            scene, start, times, rtol=rtol, atol=1e-2 * rtol, solver=solver
-        )
+        how = {"rtol": rtol, "atol": 1e-2 * rtol, "solver": solver}
+        result = rk.simulate(scene, start, times, method="diffrax", **how)
         jax.block_until_ready(result.state)
         return result
 
