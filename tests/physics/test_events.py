@@ -300,7 +300,14 @@ def complaints(name: str, numbers) -> dict[int, str]:
     return {n: words for n, words in said.items() if words}
 
 
-@pytest.mark.parametrize("name", FAMILIES)
+# hills and bowls are searched densely, and three programs compiled: a minute
+QUICK = [
+    pytest.param(name, marks=pytest.mark.slow) if name == "thrown balls" else name
+    for name in FAMILIES
+]
+
+
+@pytest.mark.parametrize("name", QUICK)
 def test_no_change_is_missed(name):
     """Of five motions of a family, from the first to the last."""
     numbers = np.linspace(0, FAMILIES[name].count - 1, 5).astype(int).tolist()
