@@ -84,6 +84,13 @@ def test_rates_that_search_are_tried_once(monkeypatch):
         short(scene, start, method="native")
 
 
+def test_a_program_that_is_too_long_goes_by_diffrax(monkeypatch):
+    monkeypatch.setattr("rollkane.native.step_source._MOST_STATEMENTS", 300)
+    monkeypatch.setattr(methods, "_refusals", {})
+    jax.clear_caches()  # what was compiled before would serve
+    assert "too many operations" in short(*problems.disc()).why
+
+
 def test_without_a_compiler_there_is_one_sentence(monkeypatch, tmp_path):
     scene, start = problems.disc()
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rollkane import replay
-from rollkane.native import NoCompilerError, derivatives, xla_call
+from rollkane.native import NoCompilerError, derivatives, step_source, xla_call
 from rollkane.replay import Run, Steps
 from rollkane.tableau import weights_of
 
@@ -159,7 +159,7 @@ def test_without_c(why, monkeypatch):
     elif why == "device":
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     else:
-        monkeypatch.setattr(derivatives, "_MOST_STATEMENTS", 3)
+        monkeypatch.setattr(step_source, "_MOST_STATEMENTS", 3)
     run, steps = run_and_steps()
     unit = [jnp.eye(4)[:2], jnp.eye(4)[2:]]
     assert replay._in_c(derivatives.TangentLoop, run, START, jnp.eye(2)) is None

@@ -12,15 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..numberwise import NotElementwiseError
 from ..tableau import Weights
 from .right_hand_side import cotangents_source, tangents_source
-from .step_source import pull_source, push_source
+from .step_source import of_bearable_length, pull_source, push_source
 from .xla_call import XlaCall, in_one
 
 _MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
-# Compiling 7,000 takes 2 s, 15,000 take 8 s and 40,000 take 90 s.
-_MOST_STATEMENTS = 10_000
 
 
 class Way(NamedTuple):
@@ -78,7 +75,7 @@ class TangentLoop:
         head = _sizes(rates, state) | {"ROWS": made.functions.rows}
         head["NUMBERS"] = made.functions.numbers
         texts = made.functions.text, push_source(rates.weights)
-        parts = "along_steps.h", *_of_bearable_length(texts), "tangent_loop.c"
+        parts = "along_steps.h", *of_bearable_length(texts), "tangent_loop.c"
         self._call = XlaCall(state.dtype, self._lanes, head, parts)
 
     def __call__(
@@ -142,7 +139,7 @@ class CotangentLoop:
         head["NUMBERS"] = made.functions.numbers
         head["BACK_NUMBERS"] = made.back.numbers
         texts = made.functions.text, made.back.text, pull_source(rates.weights)
-        parts = "along_steps.h", *_of_bearable_length(texts), "cotangent_loop.c"
+        parts = "along_steps.h", *of_bearable_length(texts), "cotangent_loop.c"
         self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(
@@ -172,9 +169,3 @@ def _sizes(rates: Rates, state: Any) -> dict[str, int]:
         "MOVED": size(rates.varied),
         "STAGES": len(rates.weights.rows),
     }
-
-
-def _of_bearable_length(texts: tuple[str, ...]) -> tuple[str, ...]:
-    if sum(text.count("\n") for text in texts) > _MOST_STATEMENTS:
-        raise NotElementwiseError("too many operations")
-    return texts

@@ -31,8 +31,8 @@ def zeros_of(x: Any) -> bytes:
         return b""
     found = (np.asarray(x) == 0).tobytes()
     if isinstance(x, jax.Array):
-        forget = lambda _, key=id(x): _zeros.pop(key, None)
-        _zeros[id(x)] = weakref.ref(x, forget), found
+        key = id(x)
+        _zeros[key] = weakref.ref(x, lambda _: _zeros.pop(key, None)), found
     return found
 
 

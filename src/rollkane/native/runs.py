@@ -15,7 +15,7 @@ from ..checks import is_traced
 from ..numberwise import NotElementwiseError
 from ..tableau import Weights
 from .right_hand_side import lanes_source
-from .step_source import attempt_source
+from .step_source import attempt_source, of_bearable_length
 from .xla_call import XlaCall, in_one
 
 
@@ -132,7 +132,7 @@ class RunLoop:
             **made.head,
         }
         loop = "lane_loop.c", "settle_stops.h", "threads.h", caller
-        parts = made.text, attempt_source(weights), *loop
+        parts = *of_bearable_length((made.text, attempt_source(weights))), *loop
         return XlaCall(state.dtype, lanes, head, parts)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
