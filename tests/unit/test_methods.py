@@ -85,7 +85,7 @@ def test_rates_that_search_are_tried_once(monkeypatch):
 
 
 def test_a_program_that_is_too_long_goes_by_diffrax(monkeypatch):
-    monkeypatch.setattr("rollkane.native.step_source._MOST_STATEMENTS", 300)
+    monkeypatch.setattr("rollkane.native.step_source._MOST_STATEMENTS", 30)
     monkeypatch.setattr(methods, "_refusals", {})
     jax.clear_caches()  # what was compiled before would serve
     assert "too many operations" in short(*problems.disc()).why
