@@ -301,8 +301,9 @@ def complaints(name: str, numbers) -> dict[int, str]:
 
 
 # hills and bowls are searched densely, and three programs compiled: a minute
+LONG = "thrown balls", "dips of the normal force"
 QUICK = [
-    pytest.param(name, marks=pytest.mark.slow) if name == "thrown balls" else name
+    pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in FAMILIES
 ]
 

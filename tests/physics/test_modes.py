@@ -58,6 +58,7 @@ def far(v, mu):
     return run.position[-1, 0]
 
 
+@pytest.mark.slow
 def test_derivatives_go_through_the_switch():
     exact = lambda v, mu: grip(v, mu)[1](2.0)
     derivatives = jax.jit(
