@@ -7,6 +7,7 @@ affine in the multipliers, and so are the conditions that determine them.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -197,7 +198,7 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
         push = _by_normal_force(scene, contact, system, resisting, along)
         push = push._replace(one_sided=friction.one_sided)
         if isinstance(friction, DirectedFriction):
-            push, turn = _as_it_begins(friction, rows, rhs, push)
+            push, turn = _as_it_begins(friction, rows, rhs, push, pair)
         x, (N,), margin = _solve(rows, rhs, [push])
         moment = None if resisting is None else N * resisting
         turn = None if turn is None else turn * jnp.abs(N)
@@ -206,7 +207,7 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
     return solution._replace(margin=margin, turn=turn)
 
 
-def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push):
+def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
     """The push of a slip that may only begin, and the slip's turn for one newton.
 
     With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
@@ -225,11 +226,14 @@ def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push):
     own = push.own + sense * _dot(push.row, answer)
     w = sense * value
     M = mu * (w * A + b[:, None] * r[None])
-    s = first_way(Balance(M, own * b + w * end(answer)))
-    first = [*force[:-2], *[-mu * x for x in components(s)]]
-    picked = [
-        jnp.where(friction.begins, x, y) for x, y in zip(first, force, strict=True)
-    ]
+    balance = Balance(M, own * b + w * end(answer))
+    known = jnp.stack([dot(friction.direction, e) for e in pair])
+    along = jax.lax.cond(
+        friction.begins,
+        lambda: -mu * first_way(balance, known),
+        lambda: jnp.stack(force[-2:]),
+    )
+    picked = [*force[:-2], *components(along)]
     return push._replace(force=picked), mu * (A[0, 0] + A[1, 1])
 
 

@@ -13,14 +13,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .friction import AbstractFriction
-from .small_linear import dot, solve_2x2
+from .small_linear import dot, matvec
 
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9
 # [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 and 10 rad/s of turn its
 # direction is off by ONSET 10 / 3 = 3e-5, and its velocity by 3e-10 m/s
 ONSET = 1e-5
-_NEWTON = 5  # steps to the direction: none too few where the body's inertias are equal
+# The search for that direction: at most so far at once [rad], until so near that one
+# step more is rounding (its error is squared), at most so often: half a turn and ten
+_FARTHEST, _CLOSE, _TURNS = 0.3, 1e-7, 40
 
 
 class Balance(NamedTuple):
@@ -42,7 +44,7 @@ class DirectedFriction(AbstractFriction):
 
     Attributes:
         coefficient: mu [1].
-        direction: d, BODY axes [1], shape (3,); zero: the slip only begins.
+        direction: d, BODY axes [1], shape (3,); of length 1/2: the slip only begins.
         lifts: Whether the run ends the contact where it would pull.
     """
 
@@ -66,8 +68,11 @@ class DirectedFriction(AbstractFriction):
 
 
 def begins(direction: Float[Array, "3"]) -> Array:
-    """Whether a slip only begins, by the direction that a run keeps of it."""
-    return ~(dot(direction, direction) > 0.25)
+    """Whether a slip only begins, by the direction that a run keeps of it.
+
+    It is of length 1/2 then, and where the slip began to look for its own.
+    """
+    return ~(dot(direction, direction) > 0.5)
 
 
 def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
@@ -78,29 +83,43 @@ def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
     return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
 
 
-def first_way(balance: Balance) -> Float[Array, "2"]:
+def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     """Direction s of a slip that begins: its rate is along itself, (7.5).
 
-    ``(M + f) s = B, |s| = 1``: the largest f, by Newton on ``1 / |s| - 1``, which is
-    nearly linear in f; derivatives by its last step.
+    Friction turns the slip at a rate of the sign of ``s' . (B - M s)``, s' = N x s,
+    and so the search does from where the slip began, by Newton where that leads the
+    same way: to the direction that the slip itself would find, of several. Derivatives
+    are those of its last step. NaN where none is found: a slip that would turn for
+    ever.
     """
-    M, B = jax.lax.stop_gradient(balance)
-    f = jnp.maximum(jnp.sqrt(dot(B, B)) - 0.5 * (M[0, 0] + M[1, 1]), 0.0)
-    for _ in range(_NEWTON):
-        f = f + _newton(Balance(M, B), f)[1]
-    f = f + _newton(balance, f)[1]
-    return _newton(balance, f)[0]
+    fixed = jax.lax.stop_gradient(balance)
+
+    def turned(carry):
+        s, _, count = carry
+        turn, slope = _turn(fixed, s)
+        steepest = jnp.where(slope == 0.0, 1.0, jnp.abs(slope))
+        angle = jnp.clip(turn / steepest, -_FARTHEST, _FARTHEST)
+        return _by_angle(s, angle), jnp.abs(angle), count + 1
+
+    begun = start / jnp.sqrt(dot(start, start))
+    carry = jax.lax.stop_gradient(begun), jnp.ones_like(start[0]), jnp.asarray(0)
+    going = lambda carry: (carry[1] > _CLOSE) & (carry[2] < _TURNS)
+    s, angle, _ = jax.lax.while_loop(going, turned, carry)
+    turn, slope = _turn(balance, s)
+    s = _by_angle(s, -turn / jnp.where(slope == 0.0, 1.0, slope))
+    # a slip stays where it does not turn, and turns back to: elsewhere it cannot begin
+    found = (angle <= _CLOSE) & (slope < 0.0)
+    return jnp.where(found, s, jnp.nan)
 
 
-def _newton(balance: Balance, f) -> tuple[Array, Array]:
-    """``s = (M + f)^-1 B`` of unit length, and a Newton step of f."""
-    M, B = balance
-    shifted = M + f * jnp.eye(2, dtype=B.dtype)
-    singular = shifted[0, 0] * shifted[1, 1] == shifted[0, 1] * shifted[1, 0]
-    shifted = jnp.where(singular, jnp.eye(2, dtype=B.dtype), shifted)
-    s = solve_2x2(shifted, B)
-    squared = dot(s, s)
-    squared = jnp.where(squared > 0.0, squared, 1.0)
-    size, falls = jnp.sqrt(squared), dot(s, solve_2x2(shifted, s))
-    step = (size - 1.0) * squared / jnp.where(falls == 0.0, 1.0, falls)
-    return s / size, step
+def _turn(balance: Balance, s) -> tuple[Array, Array]:
+    """``s' . (B - M s)``, and its derivative by the angle of s."""
+    across = jnp.stack([-s[1], s[0]])
+    rate = balance.B - matvec(balance.M, s)
+    return dot(across, rate), -dot(s, rate) - dot(across, matvec(balance.M, across))
+
+
+def _by_angle(s, angle):
+    """A direction, turned."""
+    across = jnp.stack([-s[1], s[0]])
+    return s * jnp.cos(angle) + across * jnp.sin(angle)

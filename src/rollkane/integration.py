@@ -130,7 +130,6 @@ def integrate(
 
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
-# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
 @functools.partial(jax.jit, static_argnums=0)
 def _integrate(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)

@@ -229,12 +229,12 @@ class Motion(eqx.Module):
     def begun(self, mode, t, y: HybridState):
         """Mode, direction and state at the start: what is without slip may grip."""
         speed = _size(y.slip)
-        settled, gripped = self.settled(t, y)
+        settled, way, gripped = self.settled(t, y)
         rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(speed > 0.0))
         grips = rests & (settled == Mode.ROLLING)
         return (
             jnp.where(rests, settled, mode),
-            y.slip / _not_zero(speed),
+            jnp.where(rests, way, y.slip / _not_zero(speed)),
             _picked(grips, gripped, y),
         )
 
@@ -254,9 +254,10 @@ class Motion(eqx.Module):
         if self.modes.lifts:
             flying = _picked(flies, flying, self._lifted(direction, t, y))
         speed = _size(touching.slip)
-        stays, gripped = self.settled(t, touching)
-        way = touching.slip / _not_zero(speed)  # zero of a slip that begins
-        stays = jnp.where(speed > 0.0, Mode.SLIPPING, stays)
+        slips = speed > 0.0
+        stays, way, gripped = self.settled(t, touching)
+        way = jnp.where(slips, touching.slip / _not_zero(speed), way)
+        stays = jnp.where(slips, Mode.SLIPPING, stays)
         stays = jnp.where(rolls, Mode.SLIPPING, stays)  # what ended was the grip
         touching = _picked(stays == Mode.ROLLING, gripped, touching)
         leaves = jnp.where(flies, up, kind == 1)
@@ -324,7 +325,7 @@ class Motion(eqx.Module):
         )
 
     def settled(self, t, y: HybridState):
-        """Mode of a contact without slip, and its state if it rolls.
+        """Mode of a contact without slip, where its slip begins, and how it rolls.
 
         It rolls if it is held; on rubber an impulse ends its spin about the normal.
         """
@@ -338,7 +339,8 @@ class Motion(eqx.Module):
         if self.modes.static_friction is not None:
             held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
-        return mode, y
+        # against the friction that would be needed, of the length that says it begins
+        return mode, -0.5 * pull / _not_zero(_size(pull)), y
 
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:

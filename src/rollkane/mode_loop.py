@@ -323,6 +323,7 @@ class Loop(eqx.Module):
         """
         slip = dot(after.y.slip, after.direction)
         slides = (after.mode == Mode.SLIPPING) & (slip > 0.0)
+        slides &= ~begins(after.direction)
         values = jnp.where(slides, values.at[0].set(slip), values)
         behind = jnp.isnan(c.values[0]) & ~jnp.all(values >= 0.0)
         return jnp.where(event | behind, jnp.nan, values)

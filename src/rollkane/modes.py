@@ -199,8 +199,8 @@ def in_modes(scene: Scene) -> Scenes:
 def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
     """A scene that rolls, as it slips; direction of the slip on fixed axes [1].
 
-    Zero: the slip only begins. It has no derivative: a slip that ends may turn by
-    1e5 rad/s and more, and what follows does not depend on when it was looked at.
+    Of length 1/2: the slip only begins. It has no derivative: a slip that ends may turn
+    by 1e5 rad/s and more, and what follows does not depend on when it was looked at.
     """
     assert isinstance(scene.contact, Rolling)
     direction = jax.lax.stop_gradient(direction)
@@ -215,7 +215,8 @@ class ModedState(eqx.Module):
     Attributes:
         parts: The state in every mode.
         mode: One of :class:`Mode`; -1 where not reached.
-        direction: Of the slip, FIXED axes [1], shape (3,); zero while it only begins.
+        direction: Of the slip, FIXED axes [1], shape (3,); while it only begins, where
+            it began, and of length 1/2.
     """
 
     parts: HybridState
