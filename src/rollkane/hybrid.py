@@ -26,6 +26,7 @@ from .mode_changes import Motion
 from .mode_loop import Loop, Run, as_it_is
 from .mode_replay import Path, Place, pulled_back, replayed
 from .modes import Mode, ModedState, Switches, in_modes, of, slipping
+from .native import in_one_program, in_one_program_or_not
 from .rolling import LEAST_MARGIN, painleve_margin
 from .rolling_run import at_an_edge, has_edges
 from .scene import Scene
@@ -69,6 +70,7 @@ def integrate_modes(
     max_steps: int,
     corners: Callable,
     allowed: Callable | None = None,
+    native: bool = False,
 ) -> HybridOutcome:
     """Integrate through all changes of the mode, to the asked times.
 
@@ -85,6 +87,8 @@ def integrate_modes(
             None, and whether they may jump there.
         allowed: ``allowed(scene, t, state)`` -> whether a step may end there; None:
             anywhere.
+        native: Whether the loop is compiled as C, and its derivatives where they can
+            be; else all by XLA.
     """
     mode = Mode.FLYING if isinstance(start, FlyingState) else Mode.ROLLING
     mode = Mode.SLIPPING if isinstance(start, SlidingState) else mode
@@ -94,24 +98,47 @@ def integrate_modes(
         tableau = tableau_of(solver, times.dtype)
         return Motion(in_modes(scene), scene.contact, tableau), y, times
 
-    def solve(inputs, replay, adjoint):
+    def repeated(inputs, record):
         motion, y, times = made(inputs)
-        if replay is not None:
-            path, t, last = replayed(motion, jnp.asarray(mode), y, times, replay)
-            return _outcome(path, t, last, None, None, None), None
+        path, t, last = replayed(motion, jnp.asarray(mode), y, times, record)
+        return _outcome(path, t, last, None, None, None)
+
+    def stepped(inputs, recording):
+        motion, y, times = made(inputs)
         scene, *_, rtol, atol, spoilt = inputs
         order = solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
         loop = Loop(motion, times, where, reach, rtol, atol, order, allowed)
-        c = loop.run(jnp.asarray(mode), y, max_steps, adjoint is not None)
+        c = loop.run(jnp.asarray(mode), y, max_steps, recording)
         return _ended(motion, c, times.shape[0], allowed, spoilt), c.record
+
+    def solve(inputs, replay, adjoint):
+        if replay is not None:
+            return repeated(inputs, replay), None
+        call = in_one_program if native else _called
+        return call(stepped, inputs, adjoint is not None)
+
+    def push(inputs_of, varied, record, tangents, once):
+        del once
+
+        def moved(varied, record, tangents):
+            outputs = lambda varied: _floats(repeated(inputs_of(varied), record))
+            return jax.jvp(outputs, (varied,), (tangents,))[1]
+
+        one = lambda tangents: in_one_program_or_not(moved, varied, record, tangents)
+        return jax.vmap(one)(tangents)
 
     def pull(inputs_of, varied, record, asked, once):
         del once
-        make = lambda varied: made(inputs_of(varied))
+
+        def pulled(varied, record, asked):
+            make = lambda varied: made(inputs_of(varied))
+            return pulled_back(make, varied, jnp.asarray(mode), record, asked)
+
         asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
-        return pulled_back(make, varied, jnp.asarray(mode), record, asked)
+        call = in_one_program_or_not if native else _called
+        return call(pulled, varied, record, asked)
 
     increasing = in_order(times) & ~(times[0] > times[-1])
     fault, code_of_fault = first_fault(scene, of(start), increasing)
@@ -123,13 +150,27 @@ def integrate_modes(
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
     inputs = scene, start, stops.time, rtol, atol, spoilt
     found = differentiable(
-        solve, inputs, pull=pull, twice=_refuse_twice, unknown=lambda s: s.unknown
+        solve,
+        inputs,
+        push=push if native else None,
+        pull=pull,
+        twice=_refuse_twice,
+        unknown=lambda s: s.unknown,
     )
     state = found.state
     if stops.last is not None:
         state = jax.tree.map(lambda x: x[stops.last], state)
     code = jnp.where(good, found.code, code_of_fault)
     return dataclasses.replace(found, state=state, code=code, fault=fault)
+
+
+def _called(function: Callable, *arguments: Any) -> Any:
+    """What a function gives, as a part of XLA's program."""
+    return function(*arguments)
+
+
+def _floats(outputs: Any) -> list[Array]:
+    return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
 
 
 def _ended(motion: Motion, c: Run, outputs: int, allowed, spoilt) -> HybridOutcome:

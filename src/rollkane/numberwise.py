@@ -20,12 +20,12 @@ from jax.extend import core
 from .rearrangements import MOVES, Numbers, as_objects, numbers_of
 
 # of one or more numbers gives one number, whatever the shape
-_ELEMENTWISE = frozenset(
+ELEMENTWISE = frozenset(
     """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp
     convert_element_type copy cos cosh div eq exp exp2 expm1 floor ge gt integer_pow
-    is_finite le log log1p logistic lt max min mul ne neg not one_minus_square or pow
-    rem rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh
+    is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not
+    one_minus_square or pow rem rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 # programs inside a program, by the name of the parameter that holds them
@@ -58,8 +58,9 @@ _KNOWN = {
     "square": np.square,
     "sqrt": np.sqrt,
 }
-_REDUCTIONS = {
+REDUCTIONS = {
     "reduce_sum": "add",
+    "reduce_prod": "mul",
     "reduce_max": "max",
     "reduce_min": "min",
     "reduce_and": "and",
@@ -121,19 +122,25 @@ class Program:
         if closed is None:
             closed = [numbers_of(x) for x in self.closed]
         with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
-            return _Walk(operate).through(self._closed.jaxpr, closed, values)
+            return Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
 def _alone(value: Any) -> Numbers:
     return as_objects([value], ())
 
 
-def _as_array(x: Any) -> Numbers:
+def as_array(x: Any) -> Numbers:
     """A row of numbers, of which NumPy gives the only one without its array."""
     return x if isinstance(x, np.ndarray) else _alone(x)
 
 
-class _Walk:
+def program_of(equation: Any) -> Any:
+    """The program that an equation calls, with what it closes over; None: none."""
+    name = equation.primitive.name
+    return equation.params[_CALLS[name]] if name in _CALLS else None
+
+
+class Walk:
     """One way through a traced program."""
 
     def __init__(self, operate: Operate):
@@ -155,16 +162,16 @@ class _Walk:
     def results(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
         """What one equation gives."""
         name, params = equation.primitive.name, equation.params
-        if name in _CALLS:
-            inner = params[_CALLS[name]]
+        inner = program_of(equation)
+        if inner is not None:
             consts = [numbers_of(x) for x in inner.consts]
             return self.through(inner.jaxpr, consts, inputs)
         dtype = equation.outvars[0].aval.dtype if equation.outvars else None
-        if name in _ELEMENTWISE:
+        if name in ELEMENTWISE:
             shape = equation.outvars[0].aval.shape
             return [self.elementwise(name, params, inputs, shape, dtype)]
-        if name in _REDUCTIONS:
-            return [self.reduced(_REDUCTIONS[name], inputs[0], params["axes"], dtype)]
+        if name in REDUCTIONS:
+            return [self.reduced(REDUCTIONS[name], inputs[0], params["axes"], dtype)]
         if name == "split":
             cuts = np.cumsum(params["sizes"])[:-1]
             return np.split(inputs[0], cuts, params["axis"])
@@ -293,7 +300,7 @@ class _Walk:
         kept: list[list[Numbers]] = []
         for i in turns:
             given = [*shared, *carry, *(x[i] for x in rows)]
-            found = self.through(inner.jaxpr, consts, [_as_array(x) for x in given])
+            found = self.through(inner.jaxpr, consts, [as_array(x) for x in given])
             carry = found[:behind]
             kept.append(found[behind:])
         kept = kept[:: -1 if params["reverse"] else 1]
@@ -371,6 +378,20 @@ def _plus(a, b):
     return b if _is(a, 0) else a if _is(b, 0) else None
 
 
+def _both(a, b):
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, np.bool_):
+            return y if x else x
+    return None
+
+
+def _either(a, b):
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, np.bool_):
+            return x if x else y
+    return None
+
+
 # zero times something is zero, even where the other factor is not finite
 _SHORTCUTS: dict[str, Callable] = {
     "mul": _times,
@@ -378,6 +399,11 @@ _SHORTCUTS: dict[str, Callable] = {
     "add_any": _plus,
     "sub": lambda a, b: a if _is(b, 0) else None,
     "div": lambda a, b: a if _is(a, 0) or _is(b, 1) else None,
+    "and": _both,
+    "or": _either,
+    "select_n": lambda which, *options: (
+        options[0] if all(x is options[0] for x in options) else None
+    ),
     "copy": lambda x: x,
     "stop_gradient": lambda x: x,
 }

@@ -48,7 +48,6 @@ from .voronets import AnyState, VoronetsState
 
 # what the loop in C does not have
 _DIFFRAX_ALONE = "stepsize_controller", "adjoint", "saveat", "progress_meter"
-_WHY_MODES = "runs with modes go by a loop of their own"
 _COORDINATES = ("pole-free", "voronets")
 
 
@@ -144,15 +143,15 @@ def simulate(
         "progress_meter": progress_meter is not None,
     }
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
-    foreign = {"modes": modes is not None, "second_contact": looks}
-    foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
-    if method == "native":
-        _refuse("method", foreign)
     if modes is not None:
         _refuse("modes", options)
         return _simulate_modes(
-            scene, start, times, modes, rtol, atol, solver, max_steps, looks
+            scene, start, times, modes, rtol, atol, solver, max_steps, looks, method
         )
+    foreign = {"second_contact": looks}
+    foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
+    if method == "native":
+        _refuse("method", foreign)
     check_start(scene, start)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
@@ -200,7 +199,16 @@ def _refuse(having: str, given: dict[str, bool]) -> None:
 
 
 def _simulate_modes(
-    scene: Scene, start, times, modes: Modes, rtol, atol, solver, max_steps, looks
+    scene: Scene,
+    start,
+    times,
+    modes: Modes,
+    rtol,
+    atol,
+    solver,
+    max_steps,
+    looks,
+    method,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
     if not isinstance(modes, Modes):
@@ -228,7 +236,8 @@ def _simulate_modes(
     rolls = lambda x: isinstance(x, Rolling)
     modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
     scene = under(scene, modes)
-    outcome = _run_modes(
+    run = functools.partial(
+        _run_modes,
         scene,
         start,
         jnp.asarray(times),
@@ -240,6 +249,8 @@ def _simulate_modes(
         UNRECORDED_STEPS if max_steps is None else max_steps,
         looks,
     )
+    refusal = without_native(None, {})
+    outcome, method, why = run_by(method, refusal, ("modes", looks), (scene, start), run)
     return Trajectory(
         time=jnp.asarray(times),
         state=outcome.state,
@@ -251,19 +262,22 @@ def _simulate_modes(
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
         fault=outcome.fault,
-        why=_WHY_MODES,
+        method=method,
+        why=why,
     )
 
 
 @eqx.filter_jit
 def _run_modes(
-    scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks
+    scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks, native
 ):
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     allowed = is_apart if looks else None
     return integrate_modes(
-        *(scene, start, times, stops, rtol, atol, solver, max_steps, corners, allowed)
+        *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
+        allowed=allowed,
+        native=native,
     )
 
 

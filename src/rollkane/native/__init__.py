@@ -9,6 +9,7 @@ from .derivatives import CotangentLoop, Rates, TangentLoop, Way
 from .lanes import LaneLoop, Queue, Results, Stops
 from .right_hand_side import zeros_of
 from .runs import Course, RunLoop
+from .whole import in_one_program, in_one_program_or_not
 from .xla_call import check_usable
 
 __all__ = [
@@ -24,5 +25,7 @@ __all__ = [
     "TangentLoop",
     "Way",
     "check_usable",
+    "in_one_program",
+    "in_one_program_or_not",
     "zeros_of",
 ]

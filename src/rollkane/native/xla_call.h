@@ -64,7 +64,10 @@ typedef struct {
     long leads, axes; /* axes of the batch in front, and its own */
 } Buffer;
 
-enum { MOST_GIVEN = 9, MOST_RESULTS = 5 }; /* of any function here */
+#ifndef MOST_GIVEN /* arguments and results of any function here */
+#define MOST_GIVEN 9
+#define MOST_RESULTS 5
+#endif
 
 typedef struct {
     Buffer given[MOST_GIVEN];

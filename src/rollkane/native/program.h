@@ -1,0 +1,33 @@
+/* What a whole program is written with. Before this text: rows.h, MOST_GIVEN and
+ * MOST_RESULTS.
+ */
+#define NEVER_INLINE __attribute__((noinline))
+
+typedef struct {
+    const real *given[MOST_GIVEN];
+    real *left[MOST_RESULTS];
+    real *room; /* of all arrays in memory */
+} Frame;
+
+/* like XLA's: what is not a number is zero, what is too large the largest */
+INLINE long whole_of(real x) {
+    const long most = (long)(~0UL >> 1);
+    return x != x ? 0 : x >= 0x1p63 ? most : x <= -0x1p63 ? -most - 1 : (long)x;
+}
+INLINE long div_whole(long a, long b) { return b == 0 ? -1 : a / b; }
+INLINE long rem_whole(long a, long b) { return b == 0 ? a : a % b; }
+
+/* The largest numbers of a row, in order, and where they are; what is not one first. */
+INLINE void largest(long n, const real *x, long stride, long k, real *top, real *place) {
+    long count = 0;
+    for (long i = 0; i < n; i++) {
+        const real one = x[i * stride];
+        long at = count;
+        while (at > 0 && (one > top[at - 1] || (one != one && top[at - 1] == top[at - 1])))
+            at--;
+        if (at == k) continue;
+        if (count < k) count++;
+        for (long j = count - 1; j > at; j--) top[j] = top[j - 1], place[j] = place[j - 1];
+        top[at] = one, place[at] = (real)i;
+    }
+}

@@ -1,0 +1,22 @@
+/* A whole program, called from XLA; of a batch, one after the other on every processor.
+ * Before this text: xla_call.h, program.h, the program and threads.h.
+ */
+
+static void run_member(void *job, long b) {
+    const Call *call = job;
+    Frame frame;
+    for (long i = 0; i < MOST_GIVEN; i++) frame.given[i] = member(call, i, b);
+    for (long i = 0; i < MOST_RESULTS; i++) frame.left[i] = wanted(call, i, b);
+    frame.room = malloc((ROOM + 1) * sizeof *frame.room);
+    run(&frame);
+    free(frame.room);
+}
+
+void *called_by_xla(const CallFrame *frame) {
+    int axes[MOST_GIVEN];
+    for (int i = 0; i < MOST_GIVEN; i++) axes[i] = 1;
+    Call call;
+    if (!received(frame, axes, 1, &call)) return NULL;
+    in_parallel(run_member, &call, call.batch);
+    return NULL;
+}

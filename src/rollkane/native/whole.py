@@ -1,0 +1,147 @@
+"""A whole program of arrays, with its loops and branches, compiled as one in C."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import is_traced
+from ..numberwise import NotElementwiseError
+from ..rearrangements import as_objects
+from .compiler import NoCompilerError
+from .memory import Memory, packed
+from .scalars import in_c, type_of
+from .structured import SMALL, Structured
+from .writer import Writer
+from .xla_call import XlaCall, in_one
+
+
+def in_one_program(function: Callable, *arguments: Any) -> Any:
+    """What a function gives, by a program in C, inside of XLA's.
+
+    In a batch it runs once for each member, on all processors.
+
+    Args:
+        function: Of trees with arrays, to a tree of arrays; pure, not differentiated.
+        arguments: Those trees.
+
+    Raises:
+        NotElementwiseError: an operation that is not written in C.
+        NoCompilerError: no C compiler.
+    """
+    arrays, fixed = eqx.partition(arguments, eqx.is_array)
+    whole = lambda arrays: function(*eqx.combine(arrays, fixed))
+    closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
+    given = [x for x in closed.consts if is_traced(x)] + jax.tree.leaves(arrays)
+    consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
+    reals = (x.dtype for x in given if jnp.issubdtype(x.dtype, np.floating))
+    dtype = np.dtype(next(reals, jnp.result_type(float)))
+    leaves, tree = jax.tree.flatten(like)
+    call, shapes = _compiled(closed.jaxpr, consts, dtype)
+    return jax.tree.unflatten(tree, _called(call, shapes, given, leaves, dtype))
+
+
+def in_one_program_or_not(function: Callable, *arguments: Any) -> Any:
+    """The same, or where that cannot be by XLA's program."""
+    try:
+        return in_one_program(function, *arguments)
+    except (NotElementwiseError, NoCompilerError):
+        return function(*arguments)
+
+
+def _called(call: XlaCall, shapes: list, given: list, leaves: list, dtype: Any) -> list:
+    """The results of a call, with their shapes and types."""
+    given = [jnp.asarray(x).astype(dtype).reshape(-1) for x in given]
+    small = [x for x in given if x.size <= SMALL]
+    handed = [in_one(small, dtype), *(x for x in given if x.size > SMALL)]
+    first, *large = call(tuple(shapes), *handed)
+    found, at = [], 0
+    rest = iter(large)
+    for leaf in leaves:
+        if leaf.size <= SMALL:
+            numbers = first[at : at + leaf.size]
+            at += leaf.size
+        else:
+            numbers = next(rest)
+        found.append(numbers.reshape(leaf.shape).astype(leaf.dtype))
+    return found
+
+
+def _compiled(jaxpr: Any, consts: list, dtype: Any) -> tuple[XlaCall, list]:
+    """The program, and the shapes of its results."""
+    walk = Structured(dtype)
+    closed, values, count = _given(walk.writer, jaxpr, consts)
+    with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
+        found = walk.through(jaxpr, closed, values)
+    shapes = _leave(walk, found)
+    writer = walk.writer
+    head = {"MOST_GIVEN": count, "MOST_RESULTS": len(shapes), "ROOM": writer.room}
+    text = _text(writer, count, len(shapes))
+    parts = "program.h", text, "threads.h", "program_call.c"
+    return XlaCall(dtype, 1, head, parts), shapes
+
+
+def _given(writer: Writer, jaxpr: Any, consts: list) -> tuple[list, list, int]:
+    """The arguments: small ones in one array, each of the others in its own."""
+    place, count, found = 0, 1, []
+    variables = [*jaxpr.constvars, *jaxpr.invars]
+    known = [*consts, *[None] * len(jaxpr.invars)]
+    for v, x in zip(variables, known, strict=True):
+        if x is not None:
+            found.append(x)
+            continue
+        aval, kind = v.aval, type_of(v.aval.dtype)
+        if aval.size > SMALL:
+            found.append(Memory(f"a{count}", kind, aval.shape, packed(aval.shape)))
+            count += 1
+            continue
+        number = _read_as(kind)
+        numbers = [
+            writer.let(number(f"a0[{place + i}]"), kind) for i in range(aval.size)
+        ]
+        found.append(as_objects(numbers, aval.shape))
+        place += aval.size
+    behind = len(jaxpr.constvars)
+    return found[:behind], found[behind:], count
+
+
+def _read_as(kind: str) -> Callable[[str], str]:
+    """How a number of a type is read."""
+    return {"real": "{}", "whole": "whole_of({})", "truth": "({} != 0)"}[kind].format
+
+
+def _leave(walk: Structured, found: list) -> list[tuple[int, ...]]:
+    """Write the results where XLA takes them; their shapes."""
+    place, sizes = 0, []
+    for x in map(walk.numbers, found):
+        if isinstance(x, Memory):
+            to = f"o{len(sizes) + 1}"
+            left = Memory(to, x.type, x.shape, packed(x.shape))
+            walk.arrays.copied(x, left)
+            sizes.append((x.size,))
+            continue
+        for number in x.reshape(-1):
+            walk.writer.line(f"o0[{place}] = (real)({in_c(number).text});")
+            place += 1
+    return [(place,), *sizes]
+
+
+def _text(writer: Writer, given: int, left: int) -> str:
+    """A program in C, ``run``."""
+    lines = [
+        *(f"#define a{i} (frame->given[{i}])" for i in range(given)),
+        *(f"#define o{i} (frame->left[{i}])" for i in range(left)),
+        *(f"#define m{i} (frame->room + {at})" for i, at in enumerate(writer.places)),
+        *(
+            f"static const real {name}[] = {{{text}}};"
+            for text, name in writer.tables.items()
+        ),
+        *writer.functions,
+        "static void run(const Frame *frame) {",
+        *writer.block.lines,
+        "}",
+    ]
+    return "\n".join(lines)
