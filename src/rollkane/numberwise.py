@@ -25,7 +25,8 @@ ELEMENTWISE = frozenset(
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp
     convert_element_type copy cos cosh div eq exp exp2 expm1 floor ge gt integer_pow
     is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not
-    one_minus_square or pow rem rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh
+    one_minus_square or pow rem rsqrt select_n shift_left shift_right_arithmetic sign
+    sin sinh sqrt square stop_gradient sub tan tanh xor
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 # programs inside a program, by the name of the parameter that holds them

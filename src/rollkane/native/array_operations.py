@@ -188,11 +188,23 @@ def _padded(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
     return to
 
 
+def _tiled(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+    (x,), to = stored, walk.arrays.new(aval.shape, type_of(aval.dtype))
+    count = len(x.shape)
+    parts = [n for pair in zip(params["reps"], x.shape, strict=True) for n in pair]
+    each = to.looked_at(lambda a: a.reshape(parts))
+    place = tuple(range(0, 2 * count, 2))
+    spread = x.looked_at(lambda a: np.expand_dims(a, place)).spread(each.shape)
+    walk.arrays.copied(spread, each)
+    return to
+
+
 _JOINED: dict[str, Callable] = {
     "concatenate": _concatenated,
     "pad": _padded,
     "reshape": _reshape,
     "stack": _stacked,
+    "tile": _tiled,
 }
 
 
