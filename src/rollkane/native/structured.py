@@ -35,6 +35,7 @@ class Structured(Walk):
     """One way through a traced program, which writes it in C.
 
     Attributes:
+        homes: Where larger arrays are left in the end that a loop makes.
         writer: What is written.
         arrays: Its arrays in memory.
     """
@@ -43,6 +44,7 @@ class Structured(Walk):
         """An empty program of real numbers of this type."""
         super().__init__(self._operate)
         self.small = SMALL
+        self.homes: dict[Any, Memory] = {}
         self.dtype = np.dtype(dtype)
         self.writer = Writer()
         self.arrays = Arrays(self.writer)
@@ -148,7 +150,8 @@ class Structured(Walk):
         first, second = params["cond_nconsts"], params["body_nconsts"]
         closed = list(map(_kept, inputs[: first + second]))
         of_cond, of_body = closed[:first], closed[first:]
-        carry = _Carry(self, body, second, inputs[first + second :])
+        homes = [self.homes.get(v) for v in equation.outvars]
+        carry = _Carry(self, body, second, inputs[first + second :], homes)
         (asked,) = more.out_avals
         with self.writer.braces("for (;;)"):
             (going,) = self._run(more, [*of_cond, *map(_kept, carry.values)])
@@ -213,7 +216,8 @@ class Structured(Walk):
         shared, rows = list(map(_kept, inputs[:first])), inputs[first + behind :]
         kinds = [type_of(v.aval.dtype) for v in equation.invars[first + behind :]]
         stacks = list(map(self.arrays.in_memory, rows, kinds))
-        carry = _Carry(self, body, first, inputs[first : first + behind])
+        begun = inputs[first : first + behind]
+        carry = _Carry(self, body, first, begun, [None] * behind)
         outs = [
             self.arrays.new((length, *v.shape), type_of(v.dtype))
             for v in body.out_avals[behind:]
@@ -343,24 +347,35 @@ class _Carry:
         left: What the loop leaves.
     """
 
-    def __init__(self, walk: Structured, body: Any, first: int, begun: list[Value]):
-        """Of a loop's body, in which it begins at one of the arguments."""
+    def __init__(
+        self,
+        walk: Structured,
+        body: Any,
+        first: int,
+        begun: list[Value],
+        homes: list[Memory | None],
+    ):
+        """Of a loop's body, in which it begins at one of the arguments.
+
+        Arrays that have a home are there from the first.
+        """
         self.walk = walk
         jaxpr = body.jaxpr
         places = jaxpr.invars[first : first + len(begun)]
         ends = jaxpr.outvars[: len(begun)]
         self.stays = [a is b for a, b in zip(places, ends, strict=True)]
         self.values = [
-            x if stays else self._own(x, v.aval)
-            for x, stays, v in zip(begun, self.stays, places, strict=True)
+            x if stays else self._own(x, v.aval, home)
+            for x, stays, v, home in zip(begun, self.stays, places, homes, strict=True)
         ]
 
-    def _own(self, x: Value, aval: Any) -> Value:
+    def _own(self, x: Value, aval: Any, home: Memory | None) -> Value:
         kind = type_of(aval.dtype)
         x = self.walk.numbers(x)
         if isinstance(x, Memory):
-            own = x.owned and x.is_packed
-            return (x if own else self.walk.arrays.copied(x))._replace(owned=True)
+            if home is None and x.owned and x.is_packed:
+                return x
+            return self.walk.arrays.copied(x, home)._replace(owned=True)
         variables = [self.walk.writer.variable(kind, in_c(v)) for v in x.reshape(-1)]
         return as_objects(variables, x.shape)
 

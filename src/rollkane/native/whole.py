@@ -1,5 +1,6 @@
 """A whole program of arrays, with its loops and branches, compiled as one in C."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -74,9 +75,13 @@ def _compiled(jaxpr: Any, consts: list, dtype: Any) -> tuple[XlaCall, list]:
     """The program, and the shapes of its results."""
     walk = Structured(dtype)
     closed, values, count = _given(walk.writer, jaxpr, consts)
+    homes = _homes([v.aval for v in jaxpr.outvars])
+    pairs = zip(jaxpr.outvars, homes, strict=True)
+    walk.homes = {v: home for v, home in pairs if home and jaxpr.outvars.count(v) == 1}
     with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
         found = walk.through(jaxpr, closed, values)
-    shapes = _leave(walk, found)
+    size = _leave(walk, found, homes)
+    shapes = [(size,), *((home.size,) for home in homes if home is not None)]
     writer = walk.writer
     head = {"MOST_GIVEN": count, "MOST_RESULTS": len(shapes), "ROOM": writer.room}
     text = _text(writer, count, len(shapes))
@@ -113,20 +118,29 @@ def _read_as(kind: str) -> Callable[[str], str]:
     return {"real": "{}", "whole": "whole_of({})", "truth": "({} != 0)"}[kind].format
 
 
-def _leave(walk: Structured, found: list) -> list[tuple[int, ...]]:
-    """Write the results where XLA takes them; their shapes."""
-    place, sizes = 0, []
-    for x in map(walk.numbers, found):
-        if isinstance(x, Memory):
-            to = f"o{len(sizes) + 1}"
-            left = Memory(to, x.type, x.shape, packed(x.shape))
-            walk.arrays.copied(x, left)
-            sizes.append((x.size,))
+def _homes(results: list) -> list[Memory | None]:
+    """Where XLA takes the results: the larger ones, each in an array of its own."""
+    count = itertools.count(1)
+    return [
+        Memory(f"o{next(count)}", type_of(x.dtype), x.shape, packed(x.shape))
+        if x.size > SMALL
+        else None
+        for x in results
+    ]
+
+
+def _leave(walk: Structured, found: list, homes: list[Memory | None]) -> int:
+    """Write the results there; gives how many numbers the smaller ones are."""
+    place = 0
+    for x, home in zip(map(walk.numbers, found), homes, strict=True):
+        if home is not None:
+            if x.base != home.base:
+                walk.arrays.copied(x, home)
             continue
         for number in x.reshape(-1):
             walk.writer.line(f"o0[{place}] = (real)({in_c(number).text});")
             place += 1
-    return [(place,), *sizes]
+    return place
 
 
 def _text(writer: Writer, given: int, left: int) -> str:
