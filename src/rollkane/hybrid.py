@@ -7,7 +7,7 @@ there the mode changes. Derivatives are those of the recorded steps, replayed.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
@@ -92,54 +92,7 @@ def integrate_modes(
     """
     mode = Mode.FLYING if isinstance(start, FlyingState) else Mode.ROLLING
     mode = Mode.SLIPPING if isinstance(start, SlidingState) else mode
-
-    def made(inputs):
-        scene, y, times, *_ = inputs
-        tableau = tableau_of(solver, times.dtype)
-        return Motion(in_modes(scene), scene.contact, tableau), y, times
-
-    def repeated(inputs, record):
-        motion, y, times = made(inputs)
-        path, t, last = replayed(motion, jnp.asarray(mode), y, times, record)
-        return _outcome(path, t, last, None, None, None)
-
-    def stepped(inputs, recording):
-        motion, y, times = made(inputs)
-        scene, *_, rtol, atol, spoilt = inputs
-        order = solver.order(dfx.ODETerm(lambda t, y, args: y))
-        where = landings(times, *corners(scene))
-        reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
-        loop = Loop(motion, times, where, reach, rtol, atol, order, allowed)
-        c = loop.run(jnp.asarray(mode), y, max_steps, recording)
-        return _ended(motion, c, times.shape[0], allowed, spoilt), c.record
-
-    def solve(inputs, replay, adjoint):
-        if replay is not None:
-            return repeated(inputs, replay), None
-        call = in_one_program if native else _called
-        return call(stepped, inputs, adjoint is not None)
-
-    def push(inputs_of, varied, record, tangents, once):
-        del once
-
-        def moved(varied, record, tangents):
-            outputs = lambda varied: _floats(repeated(inputs_of(varied), record))
-            return jax.jvp(outputs, (varied,), (tangents,))[1]
-
-        one = lambda tangents: in_one_program_or_not(moved, varied, record, tangents)
-        return jax.vmap(one)(tangents)
-
-    def pull(inputs_of, varied, record, asked, once):
-        del once
-
-        def pulled(varied, record, asked):
-            make = lambda varied: made(inputs_of(varied))
-            return pulled_back(make, varied, jnp.asarray(mode), record, asked)
-
-        asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
-        call = in_one_program_or_not if native else _called
-        return call(pulled, varied, record, asked)
-
+    runs = _Runs(mode, solver, max_steps, corners, allowed, native)
     increasing = in_order(times) & ~(times[0] > times[-1])
     fault, code_of_fault = first_fault(scene, of(start), increasing)
     good = fault == NO_FAULT
@@ -150,10 +103,10 @@ def integrate_modes(
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
     inputs = scene, start, stops.time, rtol, atol, spoilt
     found = differentiable(
-        solve,
+        runs.solve,
         inputs,
-        push=push if native else None,
-        pull=pull,
+        push=runs.push if native else None,
+        pull=runs.pull,
         twice=_refuse_twice,
         unknown=lambda s: s.unknown,
     )
@@ -162,6 +115,70 @@ def integrate_modes(
         state = jax.tree.map(lambda x: x[stops.last], state)
     code = jnp.where(good, found.code, code_of_fault)
     return dataclasses.replace(found, state=state, code=code, fault=fault)
+
+
+class _Runs(NamedTuple):
+    """Runs from one kind of start, of inputs: scene, state, times and tolerances."""
+
+    mode: int
+    solver: Any
+    max_steps: int
+    corners: Callable
+    allowed: Callable | None
+    native: bool
+
+    def made(self, inputs: tuple) -> tuple:
+        """Motion, state and times."""
+        scene, y, times, *_ = inputs
+        tableau = tableau_of(self.solver, times.dtype)
+        return Motion(in_modes(scene), scene.contact, tableau), y, times
+
+    def stepped(self, inputs: tuple, recording: bool) -> tuple:
+        """A run by adaptive steps, and its record."""
+        motion, y, times = self.made(inputs)
+        scene, *_, rtol, atol, spoilt = inputs
+        order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
+        where = landings(times, *self.corners(scene))
+        reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
+        loop = Loop(motion, times, where, reach, rtol, atol, order, self.allowed)
+        c = loop.run(jnp.asarray(self.mode), y, self.max_steps, recording)
+        return _ended(motion, c, times.shape[0], self.allowed, spoilt), c.record
+
+    def repeated(self, inputs: tuple, record: Any) -> HybridOutcome:
+        """The same by recorded steps."""
+        motion, y, times = self.made(inputs)
+        path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
+        return _outcome(path, t, last, None, None, None)
+
+    def solve(self, inputs: tuple, replay: Any, adjoint: Any) -> tuple:
+        """See :func:`rollkane.differentiate.differentiable`, of which this is one."""
+        if replay is not None:
+            return self.repeated(inputs, replay), None
+        call = in_one_program if self.native else _called
+        return call(self.stepped, inputs, adjoint is not None)
+
+    def push(self, inputs_of: Callable, varied, record, tangents, once) -> list[Array]:
+        """Tangents, of recorded steps."""
+        del once
+
+        def moved(varied, record, tangents):
+            outputs = lambda varied: _floats(self.repeated(inputs_of(varied), record))
+            return jax.jvp(outputs, (varied,), (tangents,))[1]
+
+        one = lambda tangents: in_one_program_or_not(moved, varied, record, tangents)
+        return jax.vmap(one)(tangents)
+
+    def pull(self, inputs_of: Callable, varied, record, asked, once) -> list[Array]:
+        """Cotangents, of recorded steps."""
+        del once
+
+        def pulled(varied, record, asked):
+            make = lambda varied: self.made(inputs_of(varied))
+            return pulled_back(make, varied, jnp.asarray(self.mode), record, asked)
+
+        asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
+        call = in_one_program_or_not if self.native else _called
+        return call(pulled, varied, record, asked)
 
 
 def _called(function: Callable, *arguments: Any) -> Any:

@@ -145,9 +145,11 @@ class Walk:
     """One way through a traced program."""
 
     def __init__(self, operate: Operate):
+        """Of numbers that this operates on."""
         self.operate = operate
 
     def through(self, jaxpr: Any, closed: Any, values: list[Numbers]) -> list[Numbers]:
+        """Outputs of a program inside of the program."""
         known: dict[Any, Numbers] = dict(
             zip((*jaxpr.constvars, *jaxpr.invars), (*closed, *values), strict=True)
         )
@@ -199,6 +201,7 @@ class Walk:
         raise NotElementwiseError(name)
 
     def elementwise(self, name, params, inputs, shape, dtype) -> Numbers:
+        """One operation on the numbers of arrays."""
         result = np.empty(shape, object)
         # an axis of length one, and an operand without axes, serve all
         spread = [np.broadcast_to(x, shape) for x in inputs]
@@ -321,6 +324,7 @@ class Walk:
         return total
 
     def reduced(self, name: str, numbers: Numbers, axes: Any, dtype: Any) -> Numbers:
+        """The sums and so on along some axes."""
         kept = [i for i in range(numbers.ndim) if i not in axes]
         rows = numbers.transpose([*kept, *axes])
         result = np.empty(rows.shape[: len(kept)], object)

@@ -108,8 +108,8 @@ def simulate(
             a CPU: diffrax's steps in a tenth of the time and half of the wait for the
             first result. ``"diffrax"``: XLA's programs. ``"auto"``: native where it
             can; the result's ``method`` and ``why`` tell. Native it cannot with
-            ``modes``, ``stepsize_controller``, ``adjoint``, ``saveat``,
-            ``progress_meter``, a ``second_contact`` to look for, a ``solver`` other
+            ``stepsize_controller``, ``adjoint``, ``saveat``, ``progress_meter``, or
+            without ``modes`` with a ``second_contact`` to look for, a ``solver`` other
             than Bosh3, Tsit5, Dopri5 and Dopri8, or rates that are more than
             arithmetic. Where there is no C compiler, or it fails, diffrax takes its
             place, with a warning once.
@@ -250,7 +250,9 @@ def _simulate_modes(
         looks,
     )
     refusal = without_native(None, {})
-    outcome, method, why = run_by(method, refusal, ("modes", looks), (scene, start), run)
+    outcome, method, why = run_by(
+        method, refusal, ("modes", looks), (scene, start), run
+    )
     return Trajectory(
         time=jnp.asarray(times),
         state=outcome.state,

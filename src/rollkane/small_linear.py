@@ -10,12 +10,15 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+_unstack = getattr(lax, "unstack", None)  # one operation instead of 2 n
 # beyond, n^3 / 3 operations take longer to compile than anybody waits
 _UNROLLED = 12
 
 
 def components(a: Float[Array, "n *B"]) -> list[Float[Array, "*B"]]:
     """Split an array along its first axis; traces faster than ``a[i]``."""
+    if _unstack is not None:
+        return list(_unstack(a))
     return [lax.index_in_dim(a, i, 0, keepdims=False) for i in range(a.shape[0])]
 
 

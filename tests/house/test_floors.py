@@ -117,6 +117,13 @@ INSIDE = {
         "derivatives",
         "lanes",
         "runs",
+        "scalars",
+        "writer",
+        "memory",
+        "array_operations",
+        "indexed_operations",
+        "structured",
+        "whole",
     ],
     "kane": [
         "system",

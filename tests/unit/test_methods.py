@@ -1,5 +1,6 @@
 """Which loop takes a run, and what it says of it."""
 
+import re
 import warnings
 
 import diffrax as dfx
@@ -39,7 +40,6 @@ def test_every_built_in_scene_runs_natively(name):
         ({"solver": dfx.Kvaerno5()}, "Kvaerno5 is none of"),
         ({"solver": dfx.Tsit5(), "adjoint": dfx.DirectAdjoint()}, "adjoint goes by"),
         ({"saveat": dfx.SaveAt(t1=True)}, "saveat goes by"),
-        ({"modes": rk.Modes(friction=0.5)}, "modes go by"),
         ({"stepsize_controller": dfx.ConstantStepSize(), "dt0": 0.01}, "stepsize_c"),
     ],
 )
@@ -47,6 +47,64 @@ def test_what_goes_by_diffrax_says_why(how, why):
     run = short(*problems.disc(), **how)
     assert run.method == "diffrax"
     assert why in run.why
+
+
+def bouncing(start, method="auto"):
+    """A ball that is dropped with spin: it slips in its impacts, and then rolls."""
+    modes = rk.Modes(friction=0.03, restitution=0.4)
+    return rk.simulate(BALL, start, (0.0, 0.9), modes=modes, rtol=1e-8, method=method)
+
+
+BALL = rk.Scene(rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1)))
+
+
+def dropped(spin):
+    spin = jnp.stack([0.0 * spin, spin, 0.0 * spin])
+    return rk.release(BALL, [1.0, 0.0, 0.0, 0.0], spin, [0.0, 0.0, 0.2], [0.1, 0, 0])
+
+
+def test_runs_with_modes_are_the_same_by_both():
+    start = dropped(jnp.asarray(7.0))
+    run, other = bouncing(start), bouncing(start, "diffrax")
+    assert (run.method, run.why) == ("native", "")
+    assert (other.method, other.why) == ("diffrax", 'method="diffrax" was chosen')
+    assert run.code == other.code == 0
+    assert run.switches.count == other.switches.count > 5
+    assert run.steps == other.steps
+    # an event's search may end a try earlier, by rounding
+    assert abs(run.rejected_steps - other.rejected_steps) <= run.switches.count
+    assert set(run.switches.after[: run.switches.count].tolist()) == {0, 1, 2}
+    for a, b in zip(jax.tree.leaves(run.switches), jax.tree.leaves(other.switches),
+                    strict=True):  # fmt: skip
+        # rounding of one step, some tens of steps with eight bounces
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
+
+
+def test_batches_and_derivatives_of_runs_with_modes_are_native_too():
+    end = lambda spin: bouncing(dropped(spin)).final_state.parts.angular_velocity[1]
+    spins = jnp.array([3.0, 7.0, 20.0])
+    one = jax.jit(end)
+    many = jax.jit(jax.vmap(end)).lower(spins)
+    assert programs_in(one.lower(spins[0])) == programs_in(many) != set()
+    # the same program: each member by itself
+    ends = many.compile()(spins)
+    np.testing.assert_array_equal(ends, [one(spin) for spin in spins])
+    back = jax.jit(jax.vmap(jax.grad(end))).lower(spins)
+    forth = jax.jit(lambda x: jax.jvp(end, (x,), (jnp.ones_like(x),))[1])
+    # with their steps recorded, and then pulled back or pushed on
+    assert len(programs_in(back)) == len(programs_in(forth.lower(spins[0]))) == 2
+    slopes = back.compile()(spins)
+    # sums in another order
+    np.testing.assert_allclose(slopes, [forth(x) for x in spins], rtol=1e-10)
+    # error h^2 of what is nearly linear, over rounding 1e-15 / 1e-3
+    h = 1e-3
+    line = (one(7.0 + h) - one(7.0 - h)) / (2.0 * h)
+    np.testing.assert_allclose(slopes[1], line, rtol=1e-6)
+
+
+def programs_in(lowered):
+    """Names of the programs in C that a program of XLA's calls."""
+    return set(re.findall(r"rollkane_[0-9a-f]+", lowered.as_text()))
 
 
 def searching():

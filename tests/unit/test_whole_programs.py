@@ -107,9 +107,7 @@ def test_arrays_are_values():
         before = a[::2]
         turned = jnp.reshape(a, (6, 10)).T
         after = a.at[3].set(7.0)
-        last = jax.lax.cond(
-            after[0] > 0.0, lambda: after.at[4].add(1.0), lambda: after
-        )
+        last = jax.lax.cond(after[0] > 0.0, lambda: after.at[4].add(1.0), lambda: after)
         return before, turned, after, last, last.at[5].add(2.0)[5]
 
     compare(kept, MANY)
@@ -183,7 +181,15 @@ def test_larger_arrays_change_places():
 def numbered(i, j):
     return (
         *(i // j, i % j, jax.lax.div(i, j), jax.lax.rem(i, j), jnp.abs(i), -j),
-        *(i & j, i | j, i ^ j, i << 2, jnp.sign(i), jnp.maximum(i, j), jnp.clip(i, -1, 1)),
+        *(
+            i & j,
+            i | j,
+            i ^ j,
+            i << 2,
+            jnp.sign(i),
+            jnp.maximum(i, j),
+            jnp.clip(i, -1, 1),
+        ),
         *((i * 1.5).astype(int), i > j, ~(i > j), i.astype(float) / 3.0),
     )
 

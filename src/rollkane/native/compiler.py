@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -102,19 +103,22 @@ class Program(NamedTuple):
     key: str
 
 
-def compiled(source: str) -> Program:
+def compiled(source: str, *others: str, effort: str = "") -> Program:
     """A C program, compiled and loaded.
 
     Args:
         source: C text.
+        others: Further texts of the program, compiled beside it.
+        effort: Of the compiler, where it is another than for a loop that runs long.
 
     Raises:
         NoCompilerError: no compiler, one that fails on it, or no place for its work.
     """
     compiler = _compiler(os.environ.get("CC"))
-    told = "\n".join((*compiler.command, compiler.machine, source))
+    command = (*compiler.command, effort) if effort else compiler.command
+    told = "\n".join((*command, compiler.machine, source, *others))
     key = hashlib.sha256(told.encode()).hexdigest()[:32]
-    make = functools.partial(_compile, compiler.command, source)
+    make = functools.partial(_compile, command, (source, *others))
     try:
         return Program(loaded(key, make), key)
     except UnusableError as error:
@@ -131,16 +135,30 @@ class _FailedError(OSError):
     """The compiler failed: on the text, or for lack of space in this folder."""
 
 
-def _compile(compiler: tuple[str, ...], source: str, target: Path) -> None:
+def _compile(compiler: tuple[str, ...], sources: tuple[str, ...], target: Path) -> None:
     """Compile to a file, with the compiler's own temporary files beside it."""
-    command = (*compiler, "-x", "c", "-", "-o", str(target), "-lm")
+    if len(sources) == 1:
+        _ask((*compiler, "-x", "c", "-", "-o", str(target), "-lm"), sources[0], target)
+        return
+    alone = tuple(word for word in compiler if word != "-shared")
+    parts = [target.with_name(f"part{i}.o") for i in range(len(sources))]
+
+    def translate(source: str, part: Path) -> None:
+        _ask((*alone, "-c", "-x", "c", "-", "-o", str(part)), source, target)
+
+    with ThreadPoolExecutor(len(sources)) as pool:
+        list(pool.map(translate, sources, parts))
+    _ask((*compiler, *map(str, parts), "-o", str(target), "-lm"), "", target)
+
+
+def _ask(command: tuple[str, ...], source: str, target: Path) -> None:
     done = _run(command, source, _places(target.parent, target.parent.parent))
     if done.returncode == 0:
         return
     told = done.stderr.decode(errors="replace").strip()
     lines = [x.strip() for x in told.splitlines()] or [f"exit status {done.returncode}"]
     first = next((x for x in lines if "error" in x), lines[0])
-    failed = _FailedError(f"the C compiler failed ({compiler[0]}): {first}")
+    failed = _FailedError(f"the C compiler failed ({command[0]}): {first}")
     failed.add_note(told)
     raise failed
 

@@ -72,7 +72,9 @@ class Memory(NamedTuple):
             np.empty(0, np.int8), self.shape, self.strides, writeable=False
         )
         seen = function(first)
-        start = seen.__array_interface__["data"][0] - first.__array_interface__["data"][0]
+        start = (
+            seen.__array_interface__["data"][0] - first.__array_interface__["data"][0]
+        )
         return self._replace(
             shape=seen.shape, strides=seen.strides, offset=self.offset + start
         )

@@ -13,7 +13,8 @@ from jax.extend import core
 
 from ..numberwise import NotElementwiseError, Walk, program_of
 from ..rearrangements import as_objects, numbers_of
-from . import array_operations as operations
+from .array_operations import in_memory, in_shape
+from .indexed_operations import OPERATIONS
 from .memory import Arrays, Memory
 from .scalars import Number, expression, in_c, type_of
 from .writer import Target, Writer
@@ -56,37 +57,29 @@ class Structured(Walk):
         return self.writer.let(text, type_of(dtype))
 
     def through(self, jaxpr: Any, closed: Any, values: list[Value]) -> list[Value]:
+        """Outputs of a program inside of the program."""
         begun = (*map(self.of_its_size, closed), *values)
         known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
         last: dict[Any, float] = {}
         for i, equation in enumerate(jaxpr.eqns):
             last.update((v, i) for v in equation.invars if not _is_literal(v))
         last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
-
-        def read(v):
-            return _literal(v) if _is_literal(v) else known[v]
-
         for i, equation in enumerate(jaxpr.eqns):
+            names = [v for v in equation.invars if not _is_literal(v)]
             if not self._takes_memory(equation):
-                for v in equation.invars:
-                    if not _is_literal(v):
-                        known[v] = self.numbers(known[v])
-            inputs = [read(v) for v in equation.invars]
-            held = set()
-            for k, (v, x) in enumerate(zip(equation.invars, inputs, strict=True)):
-                if isinstance(x, Memory) and (last[v] > i or v in equation.invars[:k]):
-                    held.add(x.base)
-            inputs = [_unowned(x, held) for x in inputs]
+                known.update((v, self.numbers(known[v])) for v in names)
+            read_again = {v for v in names if last[v] > i or names.count(v) > 1}
+            held = {known[v].base for v in read_again if isinstance(known[v], Memory)}
+            inputs = [_unowned(_read(v, known), held) for v in equation.invars]
             results = list(map(self.of_its_size, self.results(equation, inputs)))
-            bases = [x.base for x in results if isinstance(x, Memory)]
-            twice = {base for base in bases if bases.count(base) > 1}
             # what has two names must not change by one of them
-            shared = twice | (held & set(bases))
+            bases = [x.base for x in results if isinstance(x, Memory)]
+            shared = {base for base in bases if bases.count(base) > 1 or base in held}
             if held & shared:
                 known = {v: _unowned(x, shared) for v, x in known.items()}
-            for v, x in zip(equation.outvars, results, strict=True):
-                known[v] = _unowned(x, shared)
-        return [read(v) for v in jaxpr.outvars]
+            results = [_unowned(x, shared) for x in results]
+            known.update(zip(equation.outvars, results, strict=True))
+        return [_read(v, known) for v in jaxpr.outvars]
 
     def of_its_size(self, x: Value) -> Value:
         """Single numbers only if they are few, else an array in memory."""
@@ -99,14 +92,14 @@ class Structured(Walk):
         return self.arrays.in_memory(x, in_c(x.reshape(-1)[0]).type)
 
     def numbers(self, x: Value) -> Value:
-        """Single numbers if they are few: what is in memory is read where it is used."""
+        """Single numbers if they are few: read from memory where they are used."""
         small = isinstance(x, Memory) and x.size <= SMALL
         return self.arrays.loaded(x) if small else x
 
     def _takes_memory(self, equation: Any) -> bool:
         """Whether an equation has its own way with small arrays in memory."""
         name = equation.primitive.name
-        if name in _WITH_PROGRAMS or name in operations.OPERATIONS:
+        if name in _WITH_PROGRAMS or name in OPERATIONS:
             return True
         if program_of(equation) is not None:
             return True
@@ -114,6 +107,7 @@ class Structured(Walk):
         return max(sizes) > SMALL
 
     def results(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        """What one equation gives."""
         name = equation.primitive.name
         if name in _AGAIN:
             return self.through(equation.params["jaxpr"], [], inputs)
@@ -122,7 +116,7 @@ class Structured(Walk):
         inner = program_of(equation)
         if inner is not None:
             return self._run(inner, inputs)
-        own = operations.OPERATIONS.get(name)
+        own = OPERATIONS.get(name)
         if own is not None:
             return own(self, equation, inputs)
         if name in _WITH_PROGRAMS:
@@ -130,9 +124,10 @@ class Structured(Walk):
         sizes = [x.size for x in inputs] + [v.aval.size for v in equation.outvars]
         if max(sizes) <= SMALL:
             return super().results(equation, inputs)
-        return operations.in_memory(self, equation, inputs)
+        return in_memory(self, equation, inputs)
 
     def controlled(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        """What an equation gives that holds programs."""
         name = equation.primitive.name
         if name == "while":
             return self._looped(equation, inputs)
@@ -191,7 +186,7 @@ class Structured(Walk):
             inputs = [going.reshape(axes), old, new]
             return self.elementwise("select_n", {}, inputs, shape, aval.dtype)
         place = self.arrays.in_memory(going, "truth")
-        place = operations.in_shape(self, place, axes).spread(shape)
+        place = in_shape(self, place, axes).spread(shape)
         parts = [self.arrays.in_memory(x, kind) for x in (new, old)]
 
         def chosen(index):
@@ -326,8 +321,8 @@ def _is_literal(v: Any) -> bool:
     return isinstance(v, core.Literal)
 
 
-def _literal(v: Any) -> Value:
-    return numbers_of(np.asarray(v.val, v.aval.dtype))
+def _read(v: Any, known: dict[Any, Value]) -> Value:
+    return numbers_of(np.asarray(v.val, v.aval.dtype)) if _is_literal(v) else known[v]
 
 
 def _kept(x: Value) -> Value:
@@ -394,12 +389,16 @@ class _Carry:
             for v in x.reshape(-1)
         }
         moved, targets = [], []
-        found = map(walk.numbers, found)
+        found = list(map(walk.numbers, found))
         for to, x, stays in zip(self.values, found, self.stays, strict=True):
             if stays:
                 continue
             if isinstance(to, Memory):
-                if x.base == to.base and x.offset == to.offset and x.strides == to.strides:
+                if (
+                    x.base == to.base
+                    and x.offset == to.offset
+                    and x.strides == to.strides
+                ):
                     continue
                 if x.base in bases:  # another's, which may be changed before
                     x = walk.arrays.copied(x)

@@ -1,8 +1,8 @@
 """Statements of a program in C: blocks of them, and functions that long blocks become.
 
 Compilers take a time that grows with the square of a function's length, so that what is
-long and may be skipped or repeated, a branch or the body of a loop, is a function of its
-own: of the numbers that it uses, to those that are used of it.
+long and may be skipped or repeated, a branch or the body of a loop, is a function of
+its own: of the numbers that it uses, to those that are used of it.
 """
 
 import re
@@ -15,6 +15,12 @@ from .scalars import IN_C, Number
 _LONG = 150  # lines of a block that is a function
 # names of single numbers: computed once, or changed by a loop or a branch
 _NAME = re.compile(r"\b[sc]\d+\b")
+
+
+def part(i: int) -> str:
+    """The head of a function."""
+    parameters = "const Frame *frame, const double *given, double *left"
+    return f"OF_THE_PROGRAM void part{i}({parameters})"
 
 
 class Block:
@@ -152,8 +158,7 @@ class Writer:
         i = len(self.functions)
         kind = lambda name: IN_C[self._types[name]]
         lines = [
-            f"static NEVER_INLINE void part{i}(const Frame *frame, const double *given,",
-            "    double *left) {",
+            f"{part(i)} {{",
             *(
                 f"const {kind(name)} {name} = ({kind(name)})given[{k}];"
                 for k, name in enumerate(given)

@@ -48,6 +48,8 @@ class XlaCall:
         lanes: int,
         head: dict[str, int],
         parts: tuple[str, ...],
+        others: tuple[tuple[str, ...], ...] = (),
+        effort: str = "",
     ):
         """Compile it, and make it known to XLA.
 
@@ -56,12 +58,15 @@ class XlaCall:
             lanes: How many a row holds.
             head: Names of whole numbers that the parts know.
             parts: Files and texts behind ``xla_call.h``; ``called_by_xla`` is in them.
+            others: Those of further texts of the program, each compiled by itself.
+            effort: See :func:`rollkane.native.compiler.compiled`.
 
         Raises:
             NoCompilerError: no C compiler.
         """
         self._dtype = dtype
-        self._name = _registered(dtype, lanes, tuple(head.items()), parts)
+        known = tuple(head.items())
+        self._name = _registered(dtype, lanes, known, parts, others, effort)
 
     def __call__(self, shapes: tuple, *arrays: Array) -> list[Array]:
         """Results of these shapes."""
@@ -140,7 +145,7 @@ def check_usable() -> None:
     Raises:
         NoCompilerError: no compiler, or one that cannot do this for XLA.
     """
-    _registered(np.dtype(np.float64), 1, (), (_NOTHING,))
+    _registered(np.dtype(np.float64), 1, (), (_NOTHING,), (), "")
 
 
 def callable_program(
@@ -162,10 +167,18 @@ def callable_program(
 
 
 @functools.cache
-def _registered(dtype: Any, lanes: int, head: tuple, parts: tuple[str, ...]) -> str:
+def _registered(
+    dtype: Any,
+    lanes: int,
+    head: tuple,
+    parts: tuple[str, ...],
+    others: tuple[tuple[str, ...], ...],
+    effort: str,
+) -> str:
     """The name under which XLA knows it."""
     source = callable_program(_installed(), dtype, lanes, dict(head), parts)
-    library, key = compiled(source)
+    behind = (program_of(dtype, lanes, dict(head), other) for other in others)
+    library, key = compiled(source, *behind, effort=effort)
     name = f"rollkane_{key}"
     capsule = jax.ffi.pycapsule(library.called_by_xla)
     jax.ffi.register_ffi_target(name, capsule, platform="cpu")
