@@ -11,6 +11,7 @@ import pytest
 
 from rollkane.native import in_one_program, in_one_program_or_not
 from rollkane.numberwise import NotElementwiseError
+from rollkane.small_linear import components
 
 X = jnp.array([0.3, -0.5, 0.9])
 MANY = jnp.sin(1.0 + jnp.arange(60.0) ** 1.5)
@@ -171,6 +172,7 @@ def moved(x):
         *(jnp.broadcast_to(x, (3, 60)), jnp.tile(x, 2), jnp.reshape(rows.T, (6, 10))),
         *(jnp.where(rows > 0.0, rows, X[0]), jnp.arange(60.0) * x, rows * rows[:, :1]),
         jnp.roll(rows, 4, axis=1),
+        *(jnp.stack(components(x)[:7]), jnp.stack(components(rows)[1:3])),
     )
 
 

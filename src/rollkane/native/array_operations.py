@@ -221,7 +221,7 @@ def _split(walk, x: Memory, params: Any) -> list[Memory]:
 
 
 def _unstacked(walk, x: Memory, axis: int) -> list[Memory]:
-    row = lambda i: lambda a: np.moveaxis(a, axis, 0)[i]
+    row = lambda i: lambda a: np.moveaxis(a, axis, 0)[i, ...]
     return [_view(walk, x, row(i)) for i in range(x.shape[axis])]
 
 

@@ -72,6 +72,7 @@ class Memory(NamedTuple):
             np.empty(0, np.int8), self.shape, self.strides, writeable=False
         )
         seen = function(first)
+        assert not seen.flags.owndata, "a copy is no other look"
         start = (
             seen.__array_interface__["data"][0] - first.__array_interface__["data"][0]
         )
