@@ -106,9 +106,10 @@ class Motion(eqx.Module):
             at = start + h * matvec(known.T, weights[number])
             time = jnp.where(number == count - 1, t1, t + nodes[number] * h)
             rates, now = self.at(mode, direction, time, unpack(at, y))
-            pushed = jnp.roll(known, -1, axis=0).at[-1].set(pack(rates))
             is_stage = number < count
-            known = jnp.where(is_stage, pushed, known)
+            own = jnp.minimum(number, count - 1)
+            rates = jnp.where(is_stage, pack(rates), known[own])
+            known = known.at[own].set(rates)
             end, last = jax.tree.map(
                 lambda a, b: jnp.where(is_stage, a, b), (at, now), (end, last)
             )
@@ -345,8 +346,7 @@ class Motion(eqx.Module):
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:
     """Weights of a step's rates in its cubic, beside both of its ends."""
-    whole = jnp.roll(tableau.rows[-1], -1).at[-1].set(0.0)  # of the end, among all
-    rows = []
+    whole, rows = tableau.rows[-1], []
     for share in BESIDE:
         _, first, rise, last = cubic(np.array([share]))[0]
         rows.append((rise * whole).at[0].add(first).at[-1].add(last))

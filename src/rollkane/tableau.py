@@ -38,8 +38,7 @@ class Tableau(NamedTuple):
     """An explicit method whose last stage is the end of its step.
 
     Attributes:
-        rows: Weights of the s rates known before each stage, the oldest first behind
-            zeros, shape (s, s).
+        rows: Weights of the rates known before each stage, zeros behind, shape (s, s).
         nodes: Share of the step at each stage, shape (s,).
         error: Weights of the rates in the error estimate, shape (s,).
     """
@@ -88,6 +87,6 @@ def tableau_of(solver: Any, dtype) -> Tableau:
     count = len(weights.rows) + 1
     rows = np.zeros((count, count))
     for i, row in enumerate(weights.rows, start=1):
-        rows[i, count - i :] = row  # the newest of the rates stands last
+        rows[i, :i] = row
     nodes = np.concatenate([[0.0], weights.nodes])
     return Tableau(*(jnp.asarray(x, dtype) for x in (rows, nodes, weights.error)))

@@ -111,7 +111,7 @@ def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
     """An array with a part that is written, or added to, where an index is inside."""
     aval = equation.outvars[0].aval
     kind = type_of(aval.dtype)
-    if x.size <= walk.small:
+    if x.size <= walk.small and not (isinstance(x, Memory) and x.owned):
         x, update = walk.numbers(x), walk.numbers(update)
         return _written_small(walk, x, update, begins, inside, adds, aval.dtype)
     x = walk.arrays.in_memory(x, kind)
@@ -317,6 +317,8 @@ def _unset(walk, equation, inputs: list) -> list:
     return [numbers_of(np.zeros(aval.shape, aval.dtype))]
 
 
+# those that write to a part of their first operand
+WRITING = ("dynamic_update_slice", "scatter", "scatter-add")
 OPERATIONS: dict[str, Callable] = {
     "argmax": _place_of_best,
     "argmin": _place_of_best,

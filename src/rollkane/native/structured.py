@@ -14,7 +14,7 @@ from jax.extend import core
 from ..numberwise import NotElementwiseError, Walk, program_of
 from ..rearrangements import as_objects, numbers_of
 from .array_operations import in_memory, in_shape
-from .indexed_operations import OPERATIONS
+from .indexed_operations import OPERATIONS, WRITING
 from .memory import Arrays, Memory
 from .scalars import Number, expression, in_c, type_of
 from .writer import Target, Writer
@@ -68,16 +68,12 @@ class Structured(Walk):
             names = [v for v in equation.invars if not _is_literal(v)]
             if not self._takes_memory(equation):
                 known.update((v, self.numbers(known[v])) for v in names)
-            read_again = {v for v in names if last[v] > i or names.count(v) > 1}
-            held = {known[v].base for v in read_again if isinstance(known[v], Memory)}
-            inputs = [_unowned(_read(v, known), held) for v in equation.invars]
-            results = list(map(self.of_its_size, self.results(equation, inputs)))
-            # what has two names must not change by one of them
-            bases = [x.base for x in results if isinstance(x, Memory)]
-            shared = {base for base in bases if bases.count(base) > 1 or base in held}
-            if held & shared:
-                known = {v: _unowned(x, shared) for v, x in known.items()}
-            results = [_unowned(x, shared) for x in results]
+            free = {v for v in names if _is_free(v, known, names, last, i)}
+            inputs = [
+                _read(v, known) if _is_literal(v) or v in free else _kept(known[v])
+                for v in equation.invars
+            ]
+            results = map(self.of_its_size, self.results(equation, inputs))
             known.update(zip(equation.outvars, results, strict=True))
         return [_read(v, known) for v in jaxpr.outvars]
 
@@ -330,8 +326,16 @@ def _kept(x: Value) -> Value:
     return x._replace(owned=False) if isinstance(x, Memory) else x
 
 
-def _unowned(x: Value, bases: set[str]) -> Value:
-    return _kept(x) if isinstance(x, Memory) and x.base in bases else x
+def _is_free(v: Any, known: dict[Any, Value], names: list, last: dict, i: int) -> bool:
+    """Whether equation i may change a value in place: nobody else reads it, nor later."""
+    x = known[v]
+    if not isinstance(x, Memory) or not x.owned or last[v] > i or names.count(v) > 1:
+        return False
+    return not any(
+        isinstance(y, Memory) and y.base == x.base and last.get(other, -1) >= i
+        for other, y in known.items()
+        if other is not v
+    )
 
 
 class _Carry:
@@ -359,14 +363,20 @@ class _Carry:
         places = jaxpr.invars[first : first + len(begun)]
         ends = jaxpr.outvars[: len(begun)]
         self.stays = [a is b for a, b in zip(places, ends, strict=True)]
+        written = {e.invars[0] for e in jaxpr.eqns if e.primitive.name in WRITING}
+        self.in_memory = [v in written or v.aval.size > SMALL for v in places]
         self.values = [
-            x if stays else self._own(x, v.aval, home)
-            for x, stays, v, home in zip(begun, self.stays, places, homes, strict=True)
+            x if stays else self._own(x, v.aval, home, large)
+            for x, stays, v, home, large in zip(
+                begun, self.stays, places, homes, self.in_memory, strict=True
+            )
         ]
 
-    def _own(self, x: Value, aval: Any, home: Memory | None) -> Value:
+    def _own(self, x: Value, aval: Any, home: Memory | None, large: bool) -> Value:
         kind = type_of(aval.dtype)
-        x = self.walk.numbers(x)
+        if large:
+            x = self.walk.arrays.in_memory(x, kind)
+        x = x if large else self.walk.numbers(x)
         if isinstance(x, Memory):
             if home is None and x.owned and x.is_packed:
                 return x
@@ -389,11 +399,11 @@ class _Carry:
             for v in x.reshape(-1)
         }
         moved, targets = [], []
-        found = list(map(walk.numbers, found))
         for to, x, stays in zip(self.values, found, self.stays, strict=True):
             if stays:
                 continue
             if isinstance(to, Memory):
+                x = walk.arrays.in_memory(x, to.type)
                 if (
                     x.base == to.base
                     and x.offset == to.offset
@@ -404,7 +414,8 @@ class _Carry:
                     x = walk.arrays.copied(x)
                 moved.append((to, x))
                 continue
-            for a, b in zip(to.reshape(-1), x.reshape(-1), strict=True):
+            numbers = walk.numbers(x).reshape(-1)
+            for a, b in zip(to.reshape(-1), numbers, strict=True):
                 b = in_c(b)
                 if b.text == a.text:
                     continue
