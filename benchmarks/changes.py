@@ -1,4 +1,4 @@
-"""Runs that change between rolling, slipping and flight, as ``engine.py`` measures them.
+"""Runs that change between rolling, slipping and flight, for ``engine.py``.
 
 A function of one number for each: first results, tangents and gradients, and batches.
 """
@@ -11,7 +11,7 @@ NAMES = ("bowling ball", "shaken plate", "disc slips and grips", "bounces in a b
 
 
 def motions():
-    """Of each name ``end(x)``: numbers of the last state and times of changes, and x."""
+    """Of each name ``run(x)(method)``, and x, a speed [m/s]."""
     import jax.numpy as jnp
     import numpy as np
 
@@ -113,16 +113,17 @@ def table(inner):
 
     rows = []
     for name in NAMES:
-        row = {"motion": name}
         for what in ("value", "tangent", "gradient"):
-            for method, cold in (("auto", "native"), ("diffrax", "diffrax")):
+            row = {"motion": name, "of its last spin": what}
+            for method in ("auto", "diffrax"):
                 with tempfile.TemporaryDirectory() as folder:
                     first, again = inner(f"{name}/{what}/{method}", folder)
-                row |= {f"{what}, {cold}, first s": first, f"{cold}, ms": 1e3 * again}
-                row[f"{what}, {cold}, ms"] = row.pop(f"{cold}, ms")
-        # XLA's batch steps all members together: fewer of them show it
+                row |= {f"{method}, first s": first, f"{method}, ms": 1e3 * again}
+            rows.append(row)
+        row = {"motion": name, "of its last spin": "motions a second"}
+        # XLA steps all members of a batch together: fewer of them show it
         for method, count in (("auto", BATCH), ("diffrax", BATCH // 10)):
-            rate = inner(f"{name}/batch/{method}/{count}", None)
-            row[f"batch, {method}, a second"] = rate
+            row[f"{method}, first s"] = None
+            row[f"{method}, ms"] = inner(f"{name}/batch/{method}/{count}", None)
         rows.append(row)
     return rows

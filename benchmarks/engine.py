@@ -2,7 +2,7 @@
 
     python benchmarks/engine.py [--out FOLDER] [--repeats N]
 
-Prints four tables, writes them as JSON and draws the first. Everything is measured in
+Prints five tables, writes them as JSON and draws the first. Everything is measured in
 one run on this machine, without any setting, in processes that know of none: medians of
 the repeats; first results in processes of their own, with an empty folder for compiled
 programs and with the one that the first left.
@@ -19,9 +19,10 @@ import tempfile
 import time
 from pathlib import Path
 
+import changes
 from peers import c_dop853, c_dopri5
 from peers.problems import PROBLEMS, end_error
-from single import at_error, end_numbers, scene_of
+from single import at_error, draw, end_numbers, scene_of
 
 TOLERANCES = tuple(10.0**-k for k in (6, 7, 8, 9, 10, 11))
 TARGET = 1e-8
@@ -266,34 +267,6 @@ def show(title, rows):
         print("  ".join(x.rjust(w) for x, w in zip(line, wide, strict=True)))
 
 
-def draw(rows, path):
-    """Error against time, both logarithmic, a panel for each problem."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, len(PROBLEMS), sharey=True)
-    peers = list(dict.fromkeys(r["peer"] for r in rows))
-    for axis, (name, problem) in zip(axes, PROBLEMS.items(), strict=True):
-        for i, peer in enumerate(peers):
-            chosen = [r for r in rows if r["problem"] == name and r["peer"] == peer]
-            axis.loglog(
-                [r["error"] for r in chosen],
-                [1e3 * r["seconds"] for r in chosen],
-                "--" if "bare" in peer else "-",
-                marker="os^Dv<>P"[i % 8],
-                markersize=4,
-                label=peer,
-            )
-        axis.set_title(f"{name}: {problem['title']}", fontsize=10)
-        axis.set_xlabel("end error: position [m] or rotation [rad], the larger")
-        axis.grid(True, which="major", alpha=0.3)
-    axes[0].set_ylabel("time of a run [ms]")
-    axes[-1].legend(fontsize=7, loc="center left", bbox_to_anchor=(1.01, 0.5))
-    figure.savefig(path, dpi=120)
-
-
 def main():
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -307,7 +280,8 @@ def main():
         jax.config.update("jax_enable_x64", True)
         what, given = options.inner
         parts = {"singles": singles, "batches": batches, "masses": masses}
-        found = first_result(given) if what == "first" else parts[what](int(given))
+        named = {"first": first_result, "changes": changes.measured}
+        found = named[what](given) if what in named else parts[what](int(given))
         print(json.dumps(found))
         return
     print(
@@ -322,13 +296,16 @@ def main():
         ),
         "Supported masses, rtol 1e-10": inner("masses", options.repeats),
         "First results": firsts(),
+        "Changes of contact, rtol 1e-9": changes.table(
+            lambda given, cache: inner("changes", given, cache=cache)
+        ),
     }
     for title, table in tables.items():
         show(title, table)
     options.out.mkdir(parents=True, exist_ok=True)
     figures = {"runs": rows, "tables": tables}
     (options.out / "engine.json").write_text(json.dumps(figures, indent=1))
-    draw(rows, options.out / "engine.png")
+    draw(rows, options.out / "engine.png", "bare")
     print(f"written: {options.out / 'engine.json'}, {options.out / 'engine.png'}")
 
 

@@ -256,8 +256,11 @@ def print_comparison(equal):
         print(line)
 
 
-def draw(rows, path):
-    """Error against time, both logarithmic, a panel for each problem."""
+def draw(rows, path, plain="no setting"):
+    """Error against time, both logarithmic, a panel for each problem.
+
+    Peers with ``plain`` in their names are dashed.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -272,7 +275,7 @@ def draw(rows, path):
                 [r["error"] for r in chosen],
                 [r["seconds"] for r in chosen],
                 marker="os^Dv<>"[i % 7],
-                ls="--" if "no setting" in peer else "-",
+                ls="--" if plain in peer else "-",
                 color=f"C{[p.split(',')[0] for p in peers].index(peer.split(',')[0])}",
                 markersize=4,
                 label=peer,

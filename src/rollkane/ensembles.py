@@ -24,7 +24,7 @@ from .integration import (
 )
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .members import members_of
-from .methods import METHODS, NotNativeError
+from .methods import METHODS
 from .modes import Modes
 from .native import NoCompilerError
 from .scene import Scene
@@ -34,7 +34,6 @@ from .solving import UNRECORDED_STEPS
 # what a block's states may take [bytes]
 _ROOM = 2**25
 _MOST_IN_BLOCK = 8192
-_NO_MODES = "runs with modes need the loop of simulate"
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
 
@@ -109,10 +108,9 @@ def ensemble(
     The steps are those of :func:`rollkane.simulate`; a member that cannot go on ends
     with a code of its own and disturbs no other. On a CPU the right-hand side is
     compiled together with a loop in which every lane of the processor's vectors
-    follows its own motion at its own step size (method ``"native"``; where an argument
-    is traced, ``simulate``'s loop of one lane, motion after motion); what that loop
-    does not have (modes, other solvers, records, a machine without a C compiler, a
-    GPU) runs as ``simulate`` under ``jax.vmap`` (``"diffrax"``).
+    follows its own motion at its own step size; what that loop does not have (modes,
+    records that differ, arguments that are traced) runs as ``simulate`` under
+    ``jax.vmap``, natively where that can.
 
     Args:
         scene: Scene; every number of it may have an axis of N members in front, as
@@ -226,11 +224,11 @@ class _Run:
             "max_steps": max_steps,
             "solver": default_solver(known) if solver is None else solver,
         }
-        self.why, self.lanes, self.method = "", None, method
+        self.lanes, self.method = None, method
         if not self.traced:
             self._check(modes)
-        if method != "diffrax" and not self.traced:
-            self._choose(method)
+        if method != "diffrax" and modes is None and not self.traced:
+            self._choose()
         self.block = self._size(block)
         self.workers = _whole("workers", workers, _processors())
 
@@ -240,24 +238,15 @@ class _Run:
         if modes is None:
             check_start(scene, start)
 
-    def _choose(self, method: str) -> None:
-        """The loop over lanes, or why not."""
+    def _choose(self) -> None:
+        """The loop over lanes, if it serves; else ``simulate`` goes its own way."""
         try:
             self.lanes = self._by_lanes()
         except NotForLanesError as error:
             if isinstance(error.__cause__, NoCompilerError):
-                self._without_compiler(error.__cause__)
-            elif method == "native":
-                remedy = 'choose method="diffrax" or "auto"'
-                raise FieldError(
-                    "ensemble.method", method, str(error), remedy
-                ) from error
-            else:
-                self.why = str(error)
+                warn_without_compiler(str(error.__cause__))
 
     def _by_lanes(self) -> LaneBlocks:
-        if self.how["modes"] is not None:
-            raise NotForLanesError(_NO_MODES)
         if jax.default_backend() != "cpu":
             raise NotForLanesError(f"numbers are on a {jax.default_backend()}")
         return LaneBlocks(
@@ -280,13 +269,7 @@ class _Run:
     def whole(self) -> Ensemble:
         """All members at once, as JAX arrays."""
         every = *self.members.block(0, self.members.count), 0, self.members.count
-        if self.method == "native" and self.how["modes"] is not None:
-            raise NotNativeError(_NO_MODES)
-        return self._simulated(*every, method=self.method)
-
-    def _without_compiler(self, error: NoCompilerError) -> None:
-        self.why = str(error)
-        warn_without_compiler(self.why)
+        return self._simulated(*every)
 
     def blocks(self) -> Iterator[Ensemble]:
         """The blocks in order; while one is taken, the next ones are computed."""
@@ -326,7 +309,7 @@ class _Run:
         assert self.lanes is not None
         y, results = self.lanes.run(scene, starts, self.block)
         return self._ensemble(
-            *("native", first, count, scene),
+            *(("native", ""), first, count, scene),
             self.lanes.states(y),
             results.code,
             results.final_time,
@@ -336,21 +319,17 @@ class _Run:
             results.fault,
         )
 
-    def _simulated(
-        self, scene, starts, first: int, count: int, method: str = "diffrax"
-    ) -> Ensemble:
+    def _simulated(self, scene, starts, first: int, count: int) -> Ensemble:
         # as arrays: another tolerance compiles nothing
         dtype = self.times.dtype
         sizes = {"rtol": jnp.asarray(self.rtol, dtype)}
         if self.atol is not None:
             sizes["atol"] = jnp.asarray(self.atol, dtype)
         axes = self.members.axes()
-        how = self.how | {"method": method}
+        how = self.how | {"method": self.method}
         run = _simulated(axes, how, sizes, scene, starts, self.times)
-        if method != "diffrax":
-            self.why = run.why
         return self._ensemble(
-            *(run.method, first, count, scene),
+            *((run.method, run.why), first, count, scene),
             run.state,
             run.code,
             run.final_time,
@@ -360,7 +339,7 @@ class _Run:
             run.fault,
         )
 
-    def _ensemble(self, method, first, count, scene, state, *rest) -> Ensemble:
+    def _ensemble(self, made, first, count, scene, state, *rest) -> Ensemble:
         observed = None
         if self.observe is not None:
             axes = self.members.axes()[0]
@@ -371,7 +350,7 @@ class _Run:
             # without what filled the block up
             parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
         times: Any = self.times
-        how: dict[str, Any] = {"method": method, "why": self.why}
+        how: dict[str, Any] = dict(zip(("method", "why"), made, strict=True))
         return Ensemble(times, *parts, first=first, fields=self.fields, **how)
 
 

@@ -193,14 +193,32 @@ def test_derivatives_go_through_the_ensemble(method):
     np.testing.assert_allclose(*moved, rtol=1e-11)
 
 
+def test_runs_with_modes_are_native_each_by_itself():
+    """A ball that may bounce is where simulate has it."""
+    scene = rk.Scene(rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1)))
+    thrown = lambda height: rk.release(
+        *(scene, [1.0, 0.0, 0.0, 0.0], [0.0, 5.0, 0.0]),
+        *(jnp.stack([0.0 * height, 0.0 * height, height]), [0.2, 0.0, 0.0]),
+    )
+    modes = rk.Modes(friction=0.1, restitution=0.5)
+    heights = jnp.linspace(0.12, 0.2, 5)
+    times = [0.0, 0.3]
+    runs = rk.ensemble(scene, jax.vmap(thrown)(heights), times, modes=modes, block=2)
+    assert (runs.method, runs.why) == ("native", "")
+    for i, height in enumerate(heights):
+        one = rk.simulate(scene, thrown(height), times, modes=modes)
+        assert one.switches.count > 0
+        np.testing.assert_array_equal(
+            runs.state.parts.velocity[i], one.state.parts.velocity
+        )
+
+
 def test_what_the_native_loop_has_not_goes_by_diffrax():
     """And says why, or refuses where the loop was asked for."""
     scene, starts = discs(2)
-    run = rk.ensemble(scene, starts, [0.0, 0.02], modes=rk.Modes())
-    assert (run.method, run.why) == (
-        "diffrax",
-        "runs with modes need the loop of simulate",
-    )
+    run = rk.ensemble(scene, starts, [0.0, 0.02], solver=dfx.Kvaerno5())
+    assert run.method == "diffrax"
+    assert "Kvaerno5 is none of Bosh3" in run.why
     with pytest.raises(rk.FieldError, match="Kvaerno5 is none of Bosh3"):
         rk.ensemble(scene, starts, TIMES, solver=dfx.Kvaerno5(), method="native")
 

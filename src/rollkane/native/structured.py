@@ -327,7 +327,7 @@ def _kept(x: Value) -> Value:
 
 
 def _is_free(v: Any, known: dict[Any, Value], names: list, last: dict, i: int) -> bool:
-    """Whether equation i may change a value in place: nobody else reads it, nor later."""
+    """Whether equation i changes a value in place: nobody else reads it, or later."""
     x = known[v]
     if not isinstance(x, Memory) or not x.owned or last[v] > i or names.count(v) > 1:
         return False
