@@ -1,9 +1,7 @@
 /* A batch of motions in the loop over lanes, called from XLA: blocks of it on every
- * processor. Before this text: xla_call.h, lane_loop.c, settle_stops.h and threads.h.
+ * processor. Before this text: xla_call.h, lane_loop.c, queue.h and threads.h.
  */
 
-enum { SHARED_AT, OWN_AT, Y_AT, ATOL_AT, FIRST_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT,
-       TIMES_AT };
 enum { TOLD = 4 }; /* final time, code, steps, rejected steps */
 
 typedef struct {
@@ -41,30 +39,13 @@ static void run_block(void *job, long part) {
 }
 
 static void run_batch(const Call *call, long b) {
-    const real *numbers = member(call, NUMBERS_AT, b);
-    const long given = size_of(&call->given[ENDS_AT]);
     Batch all = {
-        .q = {
-            .count = size_of(&call->given[FIRST_AT]),
-            .outputs = size_of(&call->given[TIMES_AT]),
-            .stops = given,
-            .starts = member(call, Y_AT, b),
-            .own = member(call, OWN_AT, b),
-            .shared = member(call, SHARED_AT, b),
-            .atol = member(call, ATOL_AT, b),
-            .first_steps = member(call, FIRST_AT, b),
-            .ends = member(call, ENDS_AT, b),
-            .begins = member(call, BEGINS_AT, b),
-            .time = numbers[0],
-            .sense = numbers[1],
-            .rtol = numbers[2],
-            .dtmin = numbers[3],
-            .max_steps = (int64_t)numbers[4],
-        },
+        .q = queue_of(call, b, size_of(&call->given[FIRST_AT])),
         .y = wanted(call, 0, b),
         .final_y = wanted(call, 1, b),
         .told = wanted(call, 2, b),
     };
+    const long given = all.q.stops;
     int64_t *slots = malloc((given + 1) * sizeof *slots);
     real *ends = malloc(2 * (given + 1) * sizeof *ends);
     settle_stops(&all.q, member(call, TIMES_AT, b), ends, ends + given + 1, slots);

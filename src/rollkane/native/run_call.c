@@ -1,31 +1,12 @@
 /* One motion in the loop over lanes, called from XLA; of a batch, one after the other on
- * every processor. Before this text: xla_call.h, lane_loop.c with one lane, settle_stops.h
- * and threads.h.
+ * every processor. Before this text: xla_call.h, lane_loop.c with one lane, queue.h and
+ * threads.h.
  */
-
-enum { SHARED_AT, Y_AT, ATOL_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT, TIMES_AT };
 
 static void run_member(void *job, long b) {
     const Call *call = job;
-    const real *numbers = member(call, NUMBERS_AT, b);
-    const real *times = member(call, TIMES_AT, b);
-    const long given = size_of(&call->given[ENDS_AT]);
-    Queue q = {
-        .count = 1,
-        .outputs = size_of(&call->given[TIMES_AT]),
-        .stops = given,
-        .starts = member(call, Y_AT, b),
-        .shared = member(call, SHARED_AT, b),
-        .atol = member(call, ATOL_AT, b),
-        .ends = member(call, ENDS_AT, b),
-        .begins = member(call, BEGINS_AT, b),
-        .time = numbers[0],
-        .sense = numbers[1],
-        .rtol = numbers[2],
-        .dtmin = numbers[3],
-        .first_steps = numbers + 4,
-        .max_steps = (int64_t)numbers[5],
-    };
+    Queue q = queue_of(call, b, 1);
+    const long given = q.stops;
     int64_t steps, rejected, *slots = malloc((given + 1) * sizeof *slots);
     real *ends = malloc(2 * (given + 1) * sizeof *ends);
     int32_t code;
@@ -43,7 +24,7 @@ static void run_member(void *job, long b) {
 #endif
     };
     for (long i = 0; i < q.outputs * N; i++) out.y[i] = (real)NAN;
-    settle_stops(&q, times, ends, ends + given + 1, slots);
+    settle_stops(&q, member(call, TIMES_AT, b), ends, ends + given + 1, slots);
     if (q.stops)
         integrate(&q, &out);
     else { /* no time to go to */
@@ -62,7 +43,7 @@ static void run_member(void *job, long b) {
 }
 
 void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 1, 1, 1, 1, 1, 1};
+    static const int axes[] = {1, 1, 1, 1, 1, 1, 1, 1, 1};
     Call call;
     if (!received(frame, axes, 2, &call)) return NULL;
     in_parallel(run_member, &call, call.batch);

@@ -131,7 +131,7 @@ class RunLoop:
             "BETWEEN": record,
             **made.head,
         }
-        loop = "lane_loop.c", "settle_stops.h", "threads.h", caller
+        loop = "lane_loop.c", "queue.h", "threads.h", caller
         parts = *of_bearable_length((made.text, attempt_source(weights))), *loop
         return XlaCall(state.dtype, lanes, head, parts)
 
@@ -184,8 +184,8 @@ class RunLoop:
         if self._between:
             shapes += [(most + 1,), (most // self._between + 1, y.shape[0])]
         shared = in_one(leaves, y.dtype)
-        numbers = jnp.concatenate([numbers[:4], first_step[None], numbers[4:]])
-        given = shared, y, atol, numbers, ends, begins, outputs
+        given = shared, shared[:0], y, atol, first_step[None]
+        given = *given, numbers, ends, begins, outputs
         return self._one(tuple(shapes), *given)
 
     def _of_lanes(self, differs: tuple[bool, ...]) -> XlaCall | None:
