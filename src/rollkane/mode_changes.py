@@ -203,18 +203,6 @@ class Motion(eqx.Module):
 
         return jax.lax.cond(mode == Mode.FLYING, flies, lambda: (values, y))
 
-    def slopes(self, mode, direction, t, step: Step):
-        """Rates of the events' values and of the state, at the end of a step.
-
-        In flight the nearest points move, too, though nothing integrates them.
-        """
-
-        def seen(t, y):
-            return self.with_gap(mode, t, y, self.at(mode, direction, t, y)[1].values)
-
-        rates = unpack(step.rates[-1], step.y)
-        return jax.jvp(seen, (t, step.y), (jnp.ones_like(t), rates))[1]
-
     def along(self, mode, direction, y: HybridState):
         """Direction of the slip, where it is far above the law's smallest.
 

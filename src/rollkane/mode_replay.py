@@ -147,33 +147,28 @@ def turning(motion: Motion, at: Place, t, end: Step, kind) -> Array:
     step, of value zero; not where the event only grazes its zero. They are constants to
     a first derivative.
 
-    As a slip ends its direction may turn without end, ever more slowly: rates and
-    direction are those by which the step itself follows its end, and fit its tangents.
+    The rates are those by which the step itself follows its end: as a slip ends its
+    direction may turn without end, ever more slowly, and its own rates would not fit
+    its tangents.
     """
     mode, direction = at.mode, at.direction
-    of_values, of_state = motion.slopes(mode, direction, t, end)
+
+    def ended(t):
+        step = motion.stepped(mode, direction, at.t, t, at.y)
+        return step.values, step.y
+
+    of_values, rates = jax.jvp(ended, (t,), (jnp.ones_like(t),))[1]
     slope = of_values[kind]
     inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
     grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - at.t)
-    inverse = jnp.where(grazes, 0.0, inverse)
+    slides, a = motion.ends_slip(mode, kind), rates.slip
+    squared = dot(a, a)
+    squared = jnp.where(squared > 0.0, squared, 1.0)
     none = jnp.zeros_like(direction)
-
-    def slides():
-        ended = lambda t: motion.stepped(mode, direction, at.t, t, at.y).y
-        rates = jax.jvp(ended, (t,), (jnp.ones_like(t),))[1]
-        a = rates.slip
-        squared = dot(a, a)
-        squared = jnp.where(squared > 0.0, squared, 1.0)
-        return (
-            jnp.zeros_like(inverse),
-            a / squared,
-            -a / jnp.sqrt(squared),
-            pack(rates),
-        )
-
-    other = lambda: (inverse, none, none, pack(of_state))
-    inverse, way, s, rates = jax.lax.cond(motion.ends_slip(mode, kind), slides, other)
-    return jnp.concatenate([inverse[None], way, s, rates])
+    inverse = jnp.where(grazes | slides, 0.0, inverse)
+    way = jnp.where(slides, a / squared, none)
+    s = jnp.where(slides, -a / jnp.sqrt(squared), none)
+    return jnp.concatenate([inverse[None], way, s, pack(rates)])
 
 
 def replayed(motion: Motion, mode, y, times, record: Record):

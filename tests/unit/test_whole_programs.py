@@ -114,6 +114,15 @@ def test_arrays_are_values():
     compare(kept, MANY)
     compare(kept, -MANY)
 
+    def spread(x):
+        many, rows = jnp.full(60, x[0]), jnp.broadcast_to(x, (20, 3))
+        turn = lambda i, c: (c[0].at[i].add(1.0), c[1].at[i].set(c[0][:3]))
+        return many.at[3].set(1.0), rows.at[2].set(4.0), jax.lax.fori_loop(
+            0, 5, turn, (jnp.full(60, x[1]), rows + 0.0 * x[2])
+        )
+
+    compare(spread, X)
+
 
 SORTED = jnp.sort(MANY)
 

@@ -115,7 +115,7 @@ def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
         x, update = walk.numbers(x), walk.numbers(update)
         return _written_small(walk, x, update, begins, inside, adds, aval.dtype)
     x = walk.arrays.in_memory(x, kind)
-    if not x.owned:
+    if not x.owned or not x.is_packed:  # one number may stand for many
         x = walk.arrays.copied(x)._replace(owned=True)
     shifts = [_text(b) for b in begins]
     head = "" if inside is None else f"if ({in_c(inside).text})"
