@@ -120,10 +120,16 @@ def table(inner):
                     first, again = inner(f"{name}/{what}/{method}", folder)
                 row |= {f"{method}, first s": first, f"{method}, ms": 1e3 * again}
             rows.append(row)
-        row = {"motion": name, "of its last spin": "motions a second"}
+    return rows
+
+
+def batches(inner):
+    """Motions a second in a batch, of each."""
+    rows = []
+    for name in NAMES:
+        row: dict = {"motion": name}
         # XLA steps all members of a batch together: fewer of them show it
         for method, count in (("auto", BATCH), ("diffrax", BATCH // 10)):
-            row[f"{method}, first s"] = None
-            row[f"{method}, ms"] = inner(f"{name}/batch/{method}/{count}", None)
-        rows.append(row)
+            row[method] = inner(f"{name}/batch/{method}/{count}", None)
+        rows.append(row | {"ratio": row["auto"] / row["diffrax"]})
     return rows

@@ -2,7 +2,7 @@
 
     python benchmarks/engine.py [--out FOLDER] [--repeats N]
 
-Prints five tables, writes them as JSON and draws the first. Everything is measured in
+Prints six tables, writes them as JSON and draws the first. Everything is measured in
 one run on this machine, without any setting, in processes that know of none: medians of
 the repeats; first results in processes of their own, with an empty folder for compiled
 programs and with the one that the first left.
@@ -267,6 +267,11 @@ def show(title, rows):
         print("  ".join(x.rjust(w) for x, w in zip(line, wide, strict=True)))
 
 
+def of_changes(given, cache):
+    """What :mod:`changes` measures, in a process of its own."""
+    return inner("changes", given, cache=cache)
+
+
 def main():
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -296,9 +301,8 @@ def main():
         ),
         "Supported masses, rtol 1e-10": inner("masses", options.repeats),
         "First results": firsts(),
-        "Changes of contact, rtol 1e-9": changes.table(
-            lambda given, cache: inner("changes", given, cache=cache)
-        ),
+        "Changes of contact, rtol 1e-9": changes.table(of_changes),
+        "The same, motions a second": changes.batches(of_changes),
     }
     for title, table in tables.items():
         show(title, table)
