@@ -8,6 +8,7 @@ or one falls away, and only arithmetic is left: 217 operations on numbers instea
 equations on arrays for a disc on a plane.
 """
 
+import functools
 import math
 import operator
 from collections.abc import Callable
@@ -137,8 +138,14 @@ def as_array(x: Any) -> Numbers:
 
 def program_of(equation: Any) -> Any:
     """The program that an equation calls, with what it closes over; None: none."""
-    name = equation.primitive.name
-    return equation.params[_CALLS[name]] if name in _CALLS else None
+    name, params = equation.primitive.name, equation.params
+    if name == "call_hi_primitive":  # from jax 0.11 on, of searchsorted and others
+        written = functools.partial(equation.primitive.to_lojax, **params)
+        shapes = (
+            jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars
+        )
+        return jax.make_jaxpr(written)(*shapes)
+    return params[_CALLS[name]] if name in _CALLS else None
 
 
 class Walk:
