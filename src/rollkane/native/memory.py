@@ -46,6 +46,11 @@ class Memory(NamedTuple):
         """Whether its numbers lie one behind the other, in order."""
         return self.strides == packed(self.shape)
 
+    def is_at(self, other: "Memory") -> bool:
+        """Whether its numbers are those of another."""
+        place = lambda x: (x.base, x.offset, x.strides)
+        return place(self) == place(other)
+
     def at(self, index: Sequence[Any]) -> str:
         """One of its numbers, in C; an index is a number or a text."""
         pairs = zip(index, self.strides, strict=True)

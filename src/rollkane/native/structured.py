@@ -161,7 +161,7 @@ class Structured(Walk):
                     found = self._run(body, [*of_body, *carry.values])
                 targets = carry.targets(found)
             self.writer.put(block, targets)
-        return carry.left
+        return carry.values
 
     def _any(self, going: Value) -> str:
         """Whether one of some truth values is true, in C."""
@@ -225,7 +225,7 @@ class Structured(Walk):
                     self._leave(to, at, x)
                 targets = carry.targets(found[:behind])
             self.writer.put(block, targets)
-        return [*carry.left, *outs]
+        return [*carry.values, *outs]
 
     def _row(self, x: Memory, at: str) -> Value:
         """A row of an array, which nothing changes."""
@@ -283,8 +283,8 @@ class Structured(Walk):
         """Where branches leave one of their results."""
         kind = type_of(aval.dtype)
         if isinstance(found[0], Memory):
-            if all(x == found[0] for x in found):
-                return found[0]
+            if all(x.is_at(found[0]) for x in found):
+                return found[0]._replace(owned=all(x.owned for x in found))
             return self.arrays.new(aval.shape, kind)
         named = set().union(*(block.named for block, _ in written))
         result = np.empty(aval.shape, object)
@@ -298,7 +298,7 @@ class Structured(Walk):
     def _settled(self, to: Value, x: Value) -> list[Target]:
         """What leaves a result where it belongs."""
         if isinstance(to, Memory):
-            if (to.base, to.offset, to.strides) != (x.base, x.offset, x.strides):
+            if not x.is_at(to):
                 self.arrays.copied(x, to)
             return []
         pairs = zip(to.reshape(-1), x.reshape(-1), strict=True)
@@ -342,8 +342,7 @@ class _Carry:
     """What goes from turn to turn of a loop, in variables and arrays of its own.
 
     Attributes:
-        values: What a turn begins with.
-        left: What the loop leaves.
+        values: What a turn begins with, and what the loop leaves.
     """
 
     def __init__(
@@ -384,10 +383,6 @@ class _Carry:
         variables = [self.walk.writer.variable(kind, in_c(v)) for v in x.reshape(-1)]
         return as_objects(variables, x.shape)
 
-    @property
-    def left(self) -> list[Value]:
-        return self.values
-
     def targets(self, found: list[Value]) -> list[Target]:
         """What a turn leaves; the turn is being written."""
         walk = self.walk
@@ -404,11 +399,7 @@ class _Carry:
                 continue
             if isinstance(to, Memory):
                 x = walk.arrays.in_memory(x, to.type)
-                if (
-                    x.base == to.base
-                    and x.offset == to.offset
-                    and x.strides == to.strides
-                ):
+                if x.is_at(to):
                     continue
                 if x.base in bases:  # another's, which may be changed before
                     x = walk.arrays.copied(x)

@@ -143,7 +143,7 @@ def _leave(walk: Structured, found: list, homes: list[Memory | None]) -> int:
     place = 0
     for x, home in zip(map(walk.numbers, found), homes, strict=True):
         if home is not None:
-            if x.base != home.base:
+            if not x.is_at(home):
                 walk.arrays.copied(x, home)
             continue
         for number in x.reshape(-1):
