@@ -211,6 +211,9 @@ def test_whole_numbers():
     for i, j in ((7, 2), (-7, 2), (7, -2), (-8, -3), (5, 0), (0, 4)):
         if j:
             compare(numbered, jnp.asarray(i), jnp.asarray(j))
+    # the least of all is what is read outside of an array
+    outside = lambda i: jnp.take(jnp.array([3, 4]), i, mode="fill")
+    compare(lambda i: outside(jnp.stack([i, i + 2])) < 0, jnp.asarray(1))
     largest = jnp.array([jnp.nan, jnp.inf, -jnp.inf, 1e300, -2.7, 2.7])
     compare(lambda x: x.astype(int), largest)
 

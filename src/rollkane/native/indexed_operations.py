@@ -58,13 +58,13 @@ def _taken(walk, equation, inputs: list) -> list:
     def at(index):
         return x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
 
-    to = walk.arrays.new(aval.shape, kind)
-    if to.size <= walk.small:
+    if aval.size <= walk.small:
         found = [
             walk.writer.let(value_of(at(i), kind), kind, True)
             for i in np.ndindex(aval.shape)
         ]
         return [as_objects(found, aval.shape)]
+    to = walk.arrays.new(aval.shape, kind)
     return [walk.arrays.filled(to, lambda index: Number(at(index), kind))]
 
 
@@ -119,17 +119,19 @@ def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
         x = walk.arrays.copied(x)._replace(owned=True)
     shifts = [_text(b) for b in begins]
     head = "" if inside is None else f"if ({in_c(inside).text})"
+    sign = "+=" if adds else "="
+
+    def write(index, text):
+        at = x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
+        walk.writer.line(f"{at} {sign} {text};")
+
     with walk.writer.braces(head):
         if isinstance(update, Memory):
             with walk.arrays.loops(update.shape) as index:
-                at = x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
-                sign = "+=" if adds else "="
-                walk.writer.line(f"{at} {sign} {update.at(index)};")
+                write(index, update.at(index))
         else:
             for index in np.ndindex(update.shape):
-                at = x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
-                sign = "+=" if adds else "="
-                walk.writer.line(f"{at} {sign} {in_c(update[index]).text};")
+                write(index, in_c(update[index]).text)
     return x
 
 

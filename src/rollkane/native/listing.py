@@ -14,11 +14,12 @@ import numpy as np
 from ..numberwise import NotElementwiseError
 from ..rearrangements import Numbers, as_objects
 
-# how XLA's operations are written: between two numbers, or as functions of rows.h
-_ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
-_COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+# how XLA's operations are written: between two numbers, or as functions of rows.h;
+# the ending of their names says whether of a row
+ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
+COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 _LOGICAL = {"and": "&", "or": "|"}
-_FORMULAS = {
+FORMULAS = {
     "neg": "-{0}",
     "square": "{0} * {0}",
     "one_minus_square": "((real)1 + {0}) * ((real)1 - {0})",
@@ -26,7 +27,7 @@ _FORMULAS = {
     "logistic": "(real)1 / ((real)1 + exp{1}(-{0}))",
     "is_finite": "({0} - {0}) == ({0} - {0})",
 }
-_FUNCTIONS = frozenset(
+FUNCTIONS = frozenset(
     """
     abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh exp exp2 expm1 floor
     log log1p max min pow rem sign sin sinh sqrt tan tanh
@@ -131,9 +132,9 @@ def _in_memory(numbers: Numbers) -> tuple[str, int]:
 
 def _expression(name: str, params: Any, operands: list, row: bool) -> str:
     ending = "_row" if row else "_one"
-    if name in _ARITHMETIC or name in _COMPARED:
+    if name in ARITHMETIC or name in COMPARED:
         a, b = (_written(x, row and not isinstance(x, Symbol)) for x in operands)
-        return f"{a} {(_ARITHMETIC | _COMPARED)[name]} {b}"
+        return f"{a} {(ARITHMETIC | COMPARED)[name]} {b}"
     if name == "convert_element_type":
         return _converted(operands[0], params["new_dtype"], row)
     texts = [_written(x, row) for x in operands]
@@ -141,15 +142,15 @@ def _expression(name: str, params: Any, operands: list, row: bool) -> str:
         return f" {_LOGICAL[name]} ".join(texts)
     if name == "not":
         return f"not_row({texts[0]})" if row else f"!{texts[0]}"
-    if name in _FORMULAS:
-        return _FORMULAS[name].format(texts[0], ending)
+    if name in FORMULAS:
+        return FORMULAS[name].format(texts[0], ending)
     if name == "select_n" and len(texts) == 3:
         which, no, yes = texts
         return f"choose{ending}({which}, {yes}, {no})"
     if name == "clamp":
         least, x, most = texts
         return f"max{ending}({least}, min{ending}({x}, {most}))"
-    if name in _FUNCTIONS:
+    if name in FUNCTIONS:
         return f"{name}{ending}({', '.join(texts)})"
     raise NotElementwiseError(name)
 

@@ -8,41 +8,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..numberwise import NotElementwiseError
-from .listing import literal
+from .listing import ARITHMETIC, COMPARED, FORMULAS, FUNCTIONS, literal
 
 # type in C of real numbers, whole ones and truth values
 IN_C = {"real": "real", "whole": "long", "truth": "int"}
 
-_BETWEEN = {
-    "add": "+",
-    "add_any": "+",
-    "sub": "-",
-    "mul": "*",
-    "div": "/",
-    "lt": "<",
-    "le": "<=",
-    "gt": ">",
-    "ge": ">=",
-    "eq": "==",
-    "ne": "!=",
-    "and": "&",
-    "or": "|",
-    "xor": "^",
-}
-_FORMULAS = {
-    "neg": "-{0}",
-    "square": "{0} * {0}",
-    "one_minus_square": "((real)1 + {0}) * ((real)1 - {0})",
-    "rsqrt": "(real)1 / sqrt_one({0})",
-    "logistic": "(real)1 / ((real)1 + exp_one(-{0}))",
-    "is_finite": "({0} - {0}) == ({0} - {0})",
+_BETWEEN = ARITHMETIC | COMPARED | {"and": "&", "or": "|", "xor": "^"}
+_OF_SEVERAL = {
     # the order of all numbers, what is not one behind them
     "lt_to": "({0} < {1}) | (({0} == {0}) & ({1} != {1}))",
     "le_to": "({0} <= {1}) | ({1} != {1})",
     "nextafter": "C(nextafter)({0}, {1})",
     "select_n": "{0} ? {2} : {1}",
+    "clamp": "max_one({0}, min_one({1}, {2}))",
 }
+_OF_TRUTH = {"not": "!{0}"}
 _OF_WHOLE = {
+    "clamp": "{1} < {0} ? {0} : {1} > {2} ? {2} : {1}",
     "div": "div_whole({0}, {1})",
     "rem": "rem_whole({0}, {1})",
     "abs": "({0} < 0 ? -{0} : {0})",
@@ -53,12 +35,6 @@ _OF_WHOLE = {
     "shift_left": "{0} << {1}",
     "shift_right_arithmetic": "{0} >> {1}",
 }
-_FUNCTIONS = frozenset(
-    """
-    abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh exp exp2 expm1 floor
-    log log1p max min pow rem sign sin sinh sqrt tan tanh
-    """.split()  # noqa: SIM905 -- words read better than a column of strings
-)
 
 
 class Number(NamedTuple):
@@ -87,7 +63,9 @@ def in_c(x: Any) -> Number:
     if isinstance(x, (bool, np.bool_)):
         return Number(str(int(x)), "truth")
     if isinstance(x, np.integer):
-        return Number(f"{int(x)}L", "whole")
+        # C has no negative literals: the least number would be none of its type
+        least = int(x) == -(2**63)
+        return Number(f"({int(x) + 1}L - 1)" if least else f"{int(x)}L", "whole")
     if isinstance(x, np.floating):
         return Number(literal(float(x)), "real")
     raise NotElementwiseError(f"a number of {type(x)}")
@@ -104,22 +82,18 @@ def expression(name: str, params: Any, operands: list, dtype: Any) -> str:
     kind = given[-1].type
     if name == "convert_element_type":
         return _converted(given[0], type_of(params["new_dtype"]))
-    if name == "clamp":
-        least, x, most = texts
-        if kind == "real":
-            return f"max_one({least}, min_one({x}, {most}))"
-        return f"{x} < {least} ? {least} : {x} > {most} ? {most} : {x}"
-    if name == "not" and kind == "truth":
-        return f"!{texts[0]}"
-    if kind == "whole" and name in _OF_WHOLE:
-        return _OF_WHOLE[name].format(*texts)
+    own = {"whole": _OF_WHOLE, "truth": _OF_TRUTH}.get(kind, {})
+    if name in own:
+        return own[name].format(*texts)
     if name == "select_n" and len(texts) != 3:
         raise NotElementwiseError("a choice among many")
     if name in _BETWEEN:
         return f"{texts[0]} {_BETWEEN[name]} {texts[1]}"
-    if name in _FORMULAS:
-        return _FORMULAS[name].format(*texts)
-    if name in _FUNCTIONS and kind != "truth" and type_of(dtype) == "real":
+    if name in _OF_SEVERAL:
+        return _OF_SEVERAL[name].format(*texts)
+    if name in FORMULAS:
+        return FORMULAS[name].format(texts[0], "_one")
+    if name in FUNCTIONS and kind != "truth" and type_of(dtype) == "real":
         return f"{name}_one({', '.join(texts)})"
     raise NotElementwiseError(f"{name} of {kind} numbers")
 
