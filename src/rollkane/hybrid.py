@@ -22,9 +22,10 @@ from .consistency import consistent
 from .coordinates import FlyingState, SlidingState, State
 from .differentiate import differentiable
 from .integration import in_order
+from .mode_adjoint import pulled_back
 from .mode_changes import Motion
 from .mode_loop import Loop, Run, as_it_is
-from .mode_replay import Path, Place, pulled_back, replayed
+from .mode_replay import Path, Place, replayed
 from .modes import Mode, ModedState, Switches, in_modes, of, slipping
 from .native import in_one_program, in_one_program_or_not
 from .rolling import LEAST_MARGIN, painleve_margin

@@ -1,5 +1,6 @@
 """What the contact does in every mode: rates, events, and what an event changes."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -89,7 +90,14 @@ class Motion(eqx.Module):
         return jnp.concatenate([nodes, jnp.asarray(BESIDE, nodes.dtype)])
 
     def stepped(self, mode, direction, t, t1, y: HybridState, watched=False) -> Step:
-        """A step from t to t1.
+        """A step from t to t1; see :meth:`stages`."""
+        known, end, seen, last = self.stages(mode, direction, t, t1, y, watched)
+        error = (t1 - t) * matvec(known.T, self.tableau.error)
+        values, end = self.with_gap(mode, t1, unpack(end, y), last.values)
+        return Step(end, error, known, values, seen, last.way, last.turn)
+
+    def stages(self, mode, direction, t, t1, y: HybridState, watched=False):
+        """Rates at all stages of a step, its end, and what is seen on the way and last.
 
         One loop over the stages, the last of which is the end, and over the places
         beside both ends where events may be near, if the step is watched: so rates and
@@ -127,47 +135,51 @@ class Motion(eqx.Module):
                 far = stays_positive(jnp.min(stages, axis=0), jnp.max(stages, axis=0))
                 return (number < count) | ((number < nodes.shape[0]) & ~far)
 
-            _, known, end, seen, last = jax.lax.while_loop(going, look, carry)
+            carry = jax.lax.while_loop(going, look, carry)
         else:
             step = lambda carry, _: (look(carry), None)
-            (_, known, end, seen, last), _ = jax.lax.scan(step, carry, length=count)
-        error = h * matvec(known.T, tableau.error)
-        end = unpack(end, y)
-        values, end = self.with_gap(mode, t1, end, last.values)
-        return Step(end, error, known, values, seen, last.way, last.turn)
+            carry, _ = jax.lax.scan(step, carry, length=count)
+        return carry[1:]
 
     def at(self, mode, direction, t, y: HybridState):
         """Rates of what the mode moves, and what is seen of its contact."""
+        return jax.lax.switch(mode, self.by_mode, direction, t, y)
+
+    @property
+    def by_mode(self) -> tuple[Callable, ...]:
+        """:meth:`at` in each mode, by its number."""
+        return (
+            lambda *where: self._rolls(*where),
+            lambda *where: self._slips(*where),
+            lambda *where: self._flies(*where),
+        )
+
+    def _rolls(self, direction, t, y: HybridState) -> tuple[HybridState, Seen]:
         modes, endless = self.modes, jnp.ones_like(t)
-        none = jnp.zeros_like(direction), jnp.zeros_like(t)
+        rates, press, pull = rates_and_force(self.scenes.rolling, t, y.rolling())
+        grip = endless
+        if modes.static_friction is not None:
+            grip = self._grip(press, pull)
+        values = jnp.stack([grip, press if modes.lifts else endless])
+        return of(rates), Seen(values, jnp.zeros_like(direction), jnp.zeros_like(t))
 
-        def rolls():
-            rates, press, pull = rates_and_force(self.scenes.rolling, t, y.rolling())
-            grip = endless
-            if modes.static_friction is not None:
-                grip = self._grip(press, pull)
-            values = jnp.stack([grip, press if modes.lifts else endless])
-            return of(rates), Seen(values, *none)
+    def _slips(self, direction, t, y: HybridState) -> tuple[HybridState, Seen]:
+        modes, endless = self.modes, jnp.ones_like(t)
+        if modes.friction is None:  # nothing slips
+            return jax.tree.map(jnp.zeros_like, y), _nothing_seen(direction, t)
+        scene = slipping(self.scenes.rolling, modes.friction, direction, y)
+        rates, press, pull, turn = slipping_rates(scene, t, y.sliding())
+        against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
+        against = against / _not_zero(_size(against))
+        way = jnp.where(begins(direction), against, direction)
+        # without friction nothing ends a slip
+        on = jnp.where(modes.friction > 0.0, dot(y.slip, way), endless)
+        values = jnp.stack([on, press if modes.lifts else endless])
+        return of(rates), Seen(values, way, turn)
 
-        def slips():
-            if modes.friction is None:
-                nothing = Seen(jnp.stack([endless] * 2), *none)
-                return jax.tree.map(jnp.zeros_like, y), nothing
-            scene = slipping(self.scenes.rolling, modes.friction, direction, y)
-            rates, press, pull, turn = slipping_rates(scene, t, y.sliding())
-            against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
-            against = against / _not_zero(_size(against))
-            way = jnp.where(begins(direction), against, direction)
-            # without friction nothing ends a slip
-            on = jnp.where(modes.friction > 0.0, dot(y.slip, way), endless)
-            values = jnp.stack([on, press if modes.lifts else endless])
-            return of(rates), Seen(values, way, turn)
-
-        def flies():
-            rates = of(rolling_derivative(self.scenes.flying, t, y.flying()))
-            return rates, Seen(jnp.stack([endless] * 2), *none)
-
-        return jax.lax.switch(mode, [rolls, slips, flies])
+    def _flies(self, direction, t, y: HybridState) -> tuple[HybridState, Seen]:
+        rates = rolling_derivative(self.scenes.flying, t, y.flying())
+        return of(rates), _nothing_seen(direction, t)
 
     def _grip(self, press, pull):
         """What friction spares [N], (7.1): ``(m^2 - |T|^2) / sqrt(m^2 + |T|^2)``.
@@ -196,12 +208,13 @@ class Motion(eqx.Module):
         """The events' values, and the state with the nearest points of a flight."""
         if not self.lands:
             return values, y
+        flies = mode == Mode.FLYING
+        return jax.lax.cond(flies, lambda: self.gap(t, y), lambda: (values, y))
 
-        def flies():
-            gap, state = nearest_anywhere(self.scenes.flying, t, y.flying())
-            return jnp.stack([gap, jnp.ones_like(gap)]), of(state)
-
-        return jax.lax.cond(mode == Mode.FLYING, flies, lambda: (values, y))
+    def gap(self, t, y: HybridState):
+        """The events' values in flight, and the state with its nearest points."""
+        gap, state = nearest_anywhere(self.scenes.flying, t, y.flying())
+        return jnp.stack([gap, jnp.ones_like(gap)]), of(state)
 
     def along(self, mode, direction, y: HybridState):
         """Direction of the slip, where it is far above the law's smallest.
@@ -330,6 +343,11 @@ class Motion(eqx.Module):
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
         # against the friction that would be needed, of the length that says it begins
         return mode, -0.5 * pull / _not_zero(_size(pull)), y
+
+
+def _nothing_seen(direction, t) -> Seen:
+    """Of a contact that is not there."""
+    return Seen(jnp.ones(2, t.dtype), jnp.zeros_like(direction), jnp.zeros_like(t))
 
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:

@@ -1,19 +1,19 @@
 """The way of a run in modes: what it leaves, the steps that it took, and their replay.
 
-The accepted steps are recorded and replayed, forwards with tangents or, in reverse
-mode, backwards with the states that the replay passed through.
+The accepted steps are recorded and replayed, with tangents; see ``mode_adjoint`` for
+the way back.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .coordinates import pack, unpack
-from .mode_changes import Motion, Step
-from .modes import HybridState, ModedState, Switches
+from .mode_changes import Motion, Seen, Step
+from .modes import HybridState, Mode, ModedState, Switches
 from .small_linear import dot
 
 
@@ -76,7 +76,7 @@ def _put(array: Array, i, where, x) -> Array:
 
 
 # Columns of a record's steps.
-_END, _BEGIN, _KIND, _OUTPUT = range(4)
+_END, _BEGIN, KIND, OUTPUT = range(4)
 
 
 class Place(NamedTuple):
@@ -184,115 +184,110 @@ def replayed(motion: Motion, mode, y, times, record: Record):
     Returns:
         Path, time and state.
     """
-    begun = _begun(motion, mode, y, times)
-    path = Path.empty(begun.moded, times, motion.modes.switches)
+    start = begun(motion, mode, y, times)
+    path = Path.empty(start.moded, times, motion.modes.switches)
 
     def one(carry):
         i, place, path = carry
         row, turn = record.step(i, path.switches.count)
         end, shown = _stepped(motion, times, place, row, turn)
-        event = row[_KIND] >= 0
-        path = path.after(row[_OUTPUT].astype(int), event, place.mode, *shown)
+        event = row[KIND] >= 0
+        path = path.after(row[OUTPUT].astype(int), event, place.mode, *shown)
         return i + 1, end, path
 
     more = lambda carry: carry[0] < record.count
-    carry = jnp.asarray(0), begun, path
+    carry = jnp.asarray(0), start, path
     _, place, path = jax.lax.while_loop(more, one, carry)
     return path, place.t, place.moded
 
 
-def _begun(motion: Motion, mode, y, times) -> Place:
+def begun(motion: Motion, mode, y, times) -> Place:
+    """Where a run is at its first time."""
     mode, direction, y = motion.begun(mode, times[0], y)
     return Place(times[0], y, mode, direction)
 
 
-def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Place]:
-    """Behind one step: where the next one begins, and what this one shows."""
-    end, begin, kind, output = row
-    t, y, mode, direction = place
-    event = kind >= 0
-    # an output's time moves the end of its step, which may be one number before it
+def landed(times, row) -> Array:
+    """When a recorded step ends.
+
+    An output's time moves the end of its step, which may be one number before it.
+    """
+    end, output = row[_END], row[OUTPUT]
     asked = times[output.astype(int)]
     moved = asked - jax.lax.stop_gradient(asked)
-    landed = jnp.where(output > 0, end + moved, end)
-    step = motion.stepped(mode, direction, t, landed, y)
-    kind = kind.astype(int)
+    return jnp.where(output > 0, end + moved, end)
 
-    inverse, way, s, rates = turn[0], turn[1:4], turn[4:7], turn[7:]
+
+def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Place]:
+    """Behind one step: where the next one begins, and what this one shows."""
+    t, y, mode, direction = place
+    ends = landed(times, row)
+    _, end, _, last = motion.stages(mode, direction, t, ends, y)
+    return behind(motion, place, row, turn, ends, end, last)
+
+
+def plain_cond(where, then: Callable, other: Callable, operands: tuple) -> Any:
+    """``jax.lax.cond``, with operands of any kind: all that the branches depend on."""
+    return jax.lax.cond(where, lambda: then(*operands), lambda: other(*operands))
+
+
+def behind(
+    motion: Motion,
+    place: Place,
+    row,
+    turn,
+    landed,
+    end,
+    last: Seen,
+    cond: Callable = plain_cond,
+) -> tuple[Place, Place]:
+    """The same of a step whose stages are done.
+
+    Args:
+        motion: Rates and events.
+        place: Where the step began.
+        row: Of the record.
+        turn: What was recorded of its event.
+        landed: When it ends [s].
+        end: Its state there, as the stages led to it, in one array.
+        last: What is seen there.
+        cond: As :func:`plain_cond`: branches that take all that they depend on.
+    """
+    _, y, mode, direction = place
+    begin, kind = row[_BEGIN], row[KIND].astype(int)
+    event = kind >= 0
+    y = unpack(end, y)
+    values = last.values
+    if motion.lands:
+        gap = lambda motion, t, y, values: motion.gap(t, y)
+        kept = lambda motion, t, y, values: (values, y)
+        flown = motion, landed, y, values
+        values, y = cond(mode == Mode.FLYING, gap, kept, flown)
+
     ends = event & motion.ends_slip(mode, kind)
-    begun = motion.has_begun(mode, direction, step.y, ends)
-    s = jnp.where(begun, step.way, s)
-    y = jax.lax.cond(
+    begun = motion.has_begun(mode, direction, y, ends)
+    s = jnp.where(begun, last.way, turn[4:7])
+    y = cond(
         begun | ends,
-        lambda: motion.straightened(s, landed, step.y, begun),
-        lambda: step.y,
+        lambda motion, t, y, s, begun: motion.straightened(s, t, y, begun),
+        lambda motion, t, y, s, begun: y,
+        (motion, landed, y, s, begun),
     )
 
-    def passed():
-        value, slip = step.values[kind], y.slip
+    def passed(motion, t, y, values, direction, mode, kind, turn):
+        inverse, way, rates = turn[0], turn[1:4], turn[7:]
+        value, slip = values[kind], y.slip
         shift = -(value - jax.lax.stop_gradient(value)) * inverse
         shift = shift - dot(slip - jax.lax.stop_gradient(slip), way)
         moved = unpack(pack(y) + shift * rates, y)
-        t = landed + shift
-        return t, *motion.changed(mode, kind, direction, t, moved)
+        t = t + shift
+        after, direction, y = motion.changed(mode, kind, direction, t, moved)
+        return t, after, direction, y
 
-    t, mode, direction, y = jax.lax.cond(
-        event, passed, lambda: (landed, mode, direction, y)
-    )
+    def stays(motion, t, y, values, direction, mode, kind, turn):
+        return t, mode, direction, y
+
+    known = motion, landed, y, values, direction, mode, kind, turn
+    t, mode, direction, y = cond(event, passed, stays, known)
     shown = Place(t, y, mode, motion.along(mode, direction, y))
-    return shown._replace(t=jnp.where(begin == end, t, begin)), shown
-
-
-def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTree:
-    """Cotangents of a run's inputs: its steps backwards, each from where it began.
-
-    Args:
-        make: ``make(varied)`` -> motion, state at the first time, output times.
-        varied: Tree of floats.
-        mode: At the first time.
-        record: Of the accepted steps.
-        asked_of: Cotangents of path, time and state, as :func:`replayed` gives them;
-            those of integers are not looked at.
-    """
-    (saved, _, switches), t, last = asked_of
-
-    def asked_by(row, number):
-        """What outputs and switches ask of the end of a step."""
-        output, event = row[_OUTPUT].astype(int), row[_KIND] >= 0
-        part = lambda where, array, i: jnp.where(where, array[i], 0.0)
-        at_output = lambda array: part(output > 0, array, output)
-        at_event = lambda array: part(event, array, number)
-        y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
-        time, changed = jax.tree.map(at_event, (switches.time, switches.state))
-        return time, jax.tree.map(jnp.add, y, changed), direction
-
-    def one(carry):
-        i, number, asked, moved = carry
-        place = jax.tree.map(lambda x: x[i], record.kept)
-        number = number - jnp.where(record.steps[i, _KIND] >= 0, 1, 0)
-        row, turn = record.step(i, number)
-
-        def ahead(varied, t, y, direction):
-            motion, _, times = make(varied)
-            start = Place(t, y, place.mode, direction)
-            ends = _stepped(motion, times, start, row, turn)
-            return [(p.t, p.y, p.direction) for p in ends]
-
-        _, pull = jax.vjp(ahead, varied, place.t, place.y, place.direction)
-        own, *asked = pull([asked, asked_by(row, number)])
-        return i - 1, number, tuple(asked), jax.tree.map(jnp.add, moved, own)
-
-    asked, none = (t, last.parts, last.direction), jax.tree.map(jnp.zeros_like, varied)
-    events = jnp.sum(record.steps[:, _KIND] >= 0)
-    carry = record.count - 1, events, asked, none
-    *_, asked, moved = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
-
-    def start(varied):
-        motion, y, times = make(varied)
-        begun = _begun(motion, mode, y, times)
-        return begun.t, begun.y, begun.direction
-
-    first = jax.tree.map(lambda x: x[0], (saved.parts, saved.direction))
-    asked = asked[0], *jax.tree.map(jnp.add, asked[1:], first)
-    (own,) = jax.vjp(start, varied)[1](asked)
-    return jax.tree.map(jnp.add, moved, own)
+    return shown._replace(t=jnp.where(begin == row[_END], t, begin)), shown

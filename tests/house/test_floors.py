@@ -61,6 +61,7 @@ LADDER = [
     "differentiate",
     "replay",
     "mode_replay",
+    "mode_adjoint",
     "diagnosis",
     "trajectory",
     "rolling_run",

@@ -431,7 +431,7 @@ def test_files_may_not_grow(place, monkeypatch):
     limited.chmod(0o755)
     monkeypatch.setenv("CC", str(limited))
     with pytest.raises(NoCompilerError, match="the C compiler failed") as caught:
-        compilers.compiled("int answer(void) { return 42; }")
+        compilers.Program.of("int answer(void) { return 42; }").loaded()
     assert "\n" not in str(caught.value)
     assert not list((place / "cache").iterdir())
 
@@ -440,7 +440,7 @@ def test_what_a_compiler_says(place, monkeypatch):
     """One sentence; all of it is a note of the cause."""
     monkeypatch.setenv("ROLLKANE_CACHE", str(place / "cache"))
     with pytest.raises(NoCompilerError, match=r"error: .*anything") as caught:
-        compilers.compiled("int answer(void) { return anything; }")
+        compilers.Program.of("int answer(void) { return anything; }").loaded()
     assert "\n" not in str(caught.value)
     slow = place / "slow"
     slow.write_text('#!/bin/sh\ncase "$*" in *-E*) ;; *) sleep 5 ;; esac\n')
@@ -448,7 +448,7 @@ def test_what_a_compiler_says(place, monkeypatch):
     monkeypatch.setenv("CC", str(slow))
     monkeypatch.setattr(compilers, "_PATIENCE", 0.2)
     with pytest.raises(NoCompilerError, match="did not end within"):
-        compilers.compiled("")
+        compilers.Program.of("").loaded()
     slow.write_text("no program")
     slow.chmod(0o755)
     with pytest.raises(NoCompilerError, match="Exec format error"):
@@ -460,17 +460,19 @@ def test_no_folder_serves(place, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(place / "none"))
     monkeypatch.setattr(cache, "_private", {})
     with pytest.raises(NoCompilerError, match="only you can write") as caught:
-        compilers.compiled("int answer(void) { return 42; }")
+        compilers.Program.of("int answer(void) { return 42; }").loaded()
     assert "can be written by others" in str(caught.value)
     assert "No such file or directory" in str(caught.value)
 
 
 def test_the_key_tells_programs_apart(place, monkeypatch):
     monkeypatch.setenv("ROLLKANE_CACHE", str(place / "cache"))
-    one, two = (compilers.compiled(f"int f(void) {{ return {x}; }}") for x in (1, 2))
-    assert (one.library.f(), two.library.f()) == (1, 2)
+    one, two, again = (
+        compilers.Program.of(f"int f(void) {{ return {x}; }}") for x in (1, 2, 1)
+    )
+    assert (one.loaded().f(), two.loaded().f()) == (1, 2)
     assert one.key != two.key
-    assert one.key == compilers.compiled("int f(void) { return 1; }").key
+    assert one.key == again.key
     assert {x.name[:32] for x in (place / "cache").iterdir()} == {one.key, two.key}
 
 

@@ -155,7 +155,7 @@ def test_without_c(why, monkeypatch):
         def none(*arguments):
             raise NoCompilerError("no C compiler was found")
 
-        monkeypatch.setattr(xla_call, "_registered", none)
+        monkeypatch.setattr(xla_call, "_target", none)
     elif why == "device":
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     else:

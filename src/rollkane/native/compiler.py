@@ -92,43 +92,51 @@ def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
 
 
 class Program(NamedTuple):
-    """A C program as a loaded library.
+    """A C program, not yet compiled.
 
     Attributes:
-        library: Its functions.
+        command: Of the compiler.
+        sources: Its texts, each compiled by itself.
         key: Differs for all that differs in text, compiler, flags and processor.
     """
 
-    library: ctypes.CDLL
+    command: tuple[str, ...]
+    sources: tuple[str, ...]
     key: str
 
+    @staticmethod
+    def of(*sources: str, effort: str = "") -> "Program":
+        """A program for the compiler at hand.
 
-def compiled(source: str, *others: str, effort: str = "") -> Program:
-    """A C program, compiled and loaded.
+        Args:
+            sources: Texts in C.
+            effort: Of the compiler, where it is another than for a loop that runs long.
 
-    Args:
-        source: C text.
-        others: Further texts of the program, compiled beside it.
-        effort: Of the compiler, where it is another than for a loop that runs long.
+        Raises:
+            NoCompilerError: no C compiler.
+        """
+        compiler = _compiler(os.environ.get("CC"))
+        command = (*compiler.command, effort) if effort else compiler.command
+        told = "\n".join((*command, compiler.machine, *sources))
+        return Program(command, sources, hashlib.sha256(told.encode()).hexdigest()[:32])
 
-    Raises:
-        NoCompilerError: no compiler, one that fails on it, or no place for its work.
-    """
-    compiler = _compiler(os.environ.get("CC"))
-    command = (*compiler.command, effort) if effort else compiler.command
-    told = "\n".join((*command, compiler.machine, source, *others))
-    key = hashlib.sha256(told.encode()).hexdigest()[:32]
-    make = functools.partial(_compile, command, (source, *others))
-    try:
-        return Program(loaded(key, make), key)
-    except UnusableError as error:
-        if isinstance(error.__cause__, _FailedError):
-            raise NoCompilerError(str(error.__cause__)) from error
-        raise NoCompilerError(
-            "no folder serves for compiled loops, neither the cache folder nor a "
-            f"private one for temporary files ({error}): set ROLLKANE_CACHE to a "
-            'folder that only you can write, or choose method="diffrax"'
-        ) from error
+    def loaded(self) -> ctypes.CDLL:
+        """The library, compiled where it is not kept.
+
+        Raises:
+            NoCompilerError: a compiler that fails on it, or no place for its work.
+        """
+        make = functools.partial(_compile, self.command, self.sources)
+        try:
+            return loaded(self.key, make)
+        except UnusableError as error:
+            if isinstance(error.__cause__, _FailedError):
+                raise NoCompilerError(str(error.__cause__)) from error
+            raise NoCompilerError(
+                "no folder serves for compiled loops, neither the cache folder nor a "
+                f"private one for temporary files ({error}): set ROLLKANE_CACHE to a "
+                'folder that only you can write, or choose method="diffrax"'
+            ) from error
 
 
 class _FailedError(OSError):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..tableau import Weights
-from .compiler import compiled, program_of
+from .compiler import Program, program_of
 from .right_hand_side import lanes_source
 from .step_source import attempt_source
 
@@ -142,7 +142,7 @@ class LaneLoop:
         }
         parts = "rows.h", made.text, attempt_source(weights), "lane_loop.c"
         self.source = program_of(self.dtype, lanes, head, parts)
-        self._library = compiled(self.source).library
+        self._library = Program.of(self.source).loaded()
         self._library.integrate.restype = ctypes.c_int64
         sizes = ctypes.c_float, ctypes.c_double, ctypes.c_longdouble
         self._real = next(x for x in sizes if ctypes.sizeof(x) == self.dtype.itemsize)

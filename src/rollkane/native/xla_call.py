@@ -2,15 +2,19 @@
 
 import functools
 import re
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
+from jax.extend.core import Primitive
+from jax.interpreters import batching, mlir
 from jaxtyping import Array
 
-from .compiler import NoCompilerError, compiled, program_of
+from .compiler import NoCompilerError, Program, program_of
 
 # XLA's structures that are read: their names here, their fields there and here. What
 # the installed header does not know by these names is not compared.
@@ -51,7 +55,7 @@ class XlaCall:
         others: tuple[tuple[str, ...], ...] = (),
         effort: str = "",
     ):
-        """Compile it, and make it known to XLA.
+        """Begin to compile it, beside what goes on until XLA needs it.
 
         Args:
             dtype: Of all numbers.
@@ -65,14 +69,14 @@ class XlaCall:
             NoCompilerError: no C compiler.
         """
         self._dtype = dtype
+        check_usable()
         known = tuple(head.items())
-        self._name = _registered(dtype, lanes, known, parts, others, effort)
+        self._target = _target(dtype, lanes, known, parts, others, effort)
 
     def __call__(self, shapes: tuple, *arrays: Array) -> list[Array]:
         """Results of these shapes."""
-        results = [jax.ShapeDtypeStruct(shape, self._dtype) for shape in shapes]
-        call = jax.ffi.ffi_call(self._name, results, vmap_method="expand_dims")
-        return list(call(*arrays))
+        results = tuple(ShapedArray(shape, self._dtype) for shape in shapes)
+        return _call_p.bind(*arrays, target=self._target, results=results)
 
 
 def in_one(arrays: list[Array], dtype: Any) -> Array:
@@ -145,7 +149,7 @@ def check_usable() -> None:
     Raises:
         NoCompilerError: no compiler, or one that cannot do this for XLA.
     """
-    _registered(np.dtype(np.float64), 1, (), (_NOTHING,), (), "")
+    _target(np.dtype(np.float64), 1, (), (_NOTHING,), (), "").await_known()
 
 
 def callable_program(
@@ -166,20 +170,76 @@ def callable_program(
     return program_of(dtype, lanes, known, (*before, *parts))
 
 
+class _Target:
+    """A program that XLA will call."""
+
+    def __init__(self, program: Program):
+        """Begin to compile it."""
+        self.name = f"rollkane_{program.key}"
+        self._program = program
+        self._known = False
+        beside = ThreadPoolExecutor(1)
+        self._coming: Future | None = beside.submit(program.loaded)
+        beside.shutdown(wait=False)
+
+    def await_known(self) -> None:
+        """Make it known to XLA, when it is compiled.
+
+        Raises:
+            NoCompilerError: it cannot be; another call tries once more.
+        """
+        if self._known:
+            return
+        coming, self._coming = self._coming, None
+        library = self._program.loaded() if coming is None else coming.result()
+        capsule = jax.ffi.pycapsule(library.called_by_xla)
+        jax.ffi.register_ffi_target(self.name, capsule, platform="cpu")
+        self._known = True
+
+
 @functools.cache
-def _registered(
+def _target(
     dtype: Any,
     lanes: int,
     head: tuple,
     parts: tuple[str, ...],
     others: tuple[tuple[str, ...], ...],
     effort: str,
-) -> str:
-    """The name under which XLA knows it."""
+) -> _Target:
+    """What XLA knows it by."""
     source = callable_program(_installed(), dtype, lanes, dict(head), parts)
     behind = (program_of(dtype, lanes, dict(head), other) for other in others)
-    library, key = compiled(source, *behind, effort=effort)
-    name = f"rollkane_{key}"
-    capsule = jax.ffi.pycapsule(library.called_by_xla)
-    jax.ffi.register_ffi_target(name, capsule, platform="cpu")
-    return name
+    return _Target(Program.of(source, *behind, effort=effort))
+
+
+# -- jax.ffi.ffi_call, for a target that is waited for where XLA's program is made -----
+
+_call_p = Primitive("rollkane_native")
+_call_p.multiple_results = True
+
+
+@_call_p.def_impl
+def _called(*arrays: Array, target: _Target, results: tuple) -> list[Array]:
+    target.await_known()
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in results]
+    return list(jax.ffi.ffi_call(target.name, shapes)(*arrays))
+
+
+@_call_p.def_abstract_eval
+def _shapes(*arrays, results: tuple, **parameters: Any) -> list[ShapedArray]:
+    del arrays, parameters
+    return list(results)
+
+
+def _batch(arrays, axes, *, target: _Target, results: tuple):
+    """An axis in front of all: of one, where something is the same for all members."""
+    size = next(x.shape[i] for x, i in zip(arrays, axes, strict=True) if i is not None)
+    pairs = zip(arrays, axes, strict=True)
+    arrays = [x[None] if i is None else jnp.moveaxis(x, i, 0) for x, i in pairs]
+    results = tuple(ShapedArray((size, *x.shape), x.dtype) for x in results)
+    many = _call_p.bind(*arrays, target=target, results=results)
+    return many, [0] * len(many)
+
+
+batching.primitive_batchers[_call_p] = _batch
+mlir.register_lowering(_call_p, mlir.lower_fun(_called, multiple_results=True))
