@@ -24,9 +24,10 @@ from .coordinates import pack, unpack
 from .differentiate import differentiable
 from .keeping import BroughtBack
 from .native import zeros_of
+from .one_call import around_a_loop
 from .replay import Run, Steps
 from .solving import Plan, Problem, Solution, landings_of, plain, solve
-from .steps import Stops, stops_of
+from .steps import Stops, of_times, stops_of
 from .tableau import weights_of
 
 # Relative tolerance above which a step may be as wrong as it is long.
@@ -123,15 +124,14 @@ def integrate(
     stops = stops_of(times)
     numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
+    call = _around_loop if native else _integrate
     if stepsize_controller is None and saveat is None:
-        return _integrate(plan, None, model, start, times, stops, numbers, dt0)
+        return call(plan, None, model, start, times, stops, numbers, dt0)
     arrays, plan = eqx.partition(plan, eqx.is_array)
-    return _integrate(plan, arrays, model, start, times, stops, numbers, dt0)
+    return call(plan, arrays, model, start, times, stops, numbers, dt0)
 
 
-# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
-@functools.partial(jax.jit, static_argnums=0)
-def _integrate(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
+def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
     if isinstance(plan.solver, BroughtBack):
@@ -183,6 +183,11 @@ def _integrate(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
         rejected_steps=solution.rejected_steps,
         fault=fault,
     )
+
+
+# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
+_jit = functools.partial(jax.jit, _integrated, static_argnums=0)
+_integrate, _around_loop = _jit(), around_a_loop(_jit)
 
 
 def _in_time(solution: Solution, rates, times, stops: Stops, model) -> Solution:
@@ -351,8 +356,7 @@ def checked_times(times: Any, dtype) -> Float[Array, " T"]:
         raise FieldError(
             field, times, "must hold a start and an end", "give two times or more"
         )
-    steps = np.diff(times)
-    if not (np.all(steps > 0) or np.all(steps < 0)):  # not so for NaN either
+    if not of_times(_one_way, times):
         raise FieldError(
             field,
             times,
@@ -360,6 +364,12 @@ def checked_times(times: Any, dtype) -> Float[Array, " T"]:
             "sort them and leave out repeated ones",
         )
     return times
+
+
+def _one_way(times: np.ndarray) -> bool:
+    """Whether times are all later, or all earlier, than the one before."""
+    steps = np.diff(times)
+    return bool(np.all(steps > 0) or np.all(steps < 0))  # not so for NaN either
 
 
 def in_order(times: Float[Array, " T"]) -> Array:
@@ -371,6 +381,11 @@ def in_order(times: Float[Array, " T"]) -> Array:
 
 def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     """Tolerances, with the defaults of a precision for those that are None."""
+    plain = type(rtol) in _PLAIN and type(atol) in _PLAIN
+    return (_plain_tolerances if plain else _tolerances)(rtol, atol, np.dtype(dtype))
+
+
+def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     for field, value in (("rtol", rtol), ("atol", atol)):
         if isinstance(value, (str, bytes, bool)):
             raise FieldError(
@@ -405,6 +420,8 @@ def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
     return rtol, atol
 
 
+_PLAIN = float, type(None)
+_plain_tolerances = functools.lru_cache(64)(_tolerances)
 _FINE, _COARSE = dfx.Dopri8(), dfx.Tsit5()
 
 

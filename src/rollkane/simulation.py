@@ -30,6 +30,7 @@ from .integration import (
 from .keeping import KeepingEnergy, check_keeps_energy
 from .methods import check_method, run_by, without_native
 from .modes import Modes, of
+from .one_call import around_a_loop
 from .rolling import rolling_derivative
 from .rolling_run import (
     corners,
@@ -269,9 +270,13 @@ def _simulate_modes(
     )
 
 
-@eqx.filter_jit
-def _run_modes(
-    scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks, native
+def _run_modes(*arguments: Any, native: bool) -> Any:
+    """See :func:`_through_changes`."""
+    return (_around_loop if native else _by_xla)(native, *arguments)
+
+
+def _through_changes(
+    native, scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks
 ):
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
@@ -281,6 +286,10 @@ def _run_modes(
         allowed=allowed,
         native=native,
     )
+
+
+_jit = functools.partial(eqx.filter_jit, _through_changes)
+_by_xla, _around_loop = _jit(), around_a_loop(_jit)
 
 
 def _spin(state: AnyState) -> Float[Array, "3"]:

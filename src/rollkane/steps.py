@@ -1,5 +1,6 @@
 """Step controllers: landing on outputs, refusing steps, replaying recorded ones."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,6 +13,8 @@ from jaxtyping import Array, Float
 
 from .checks import is_traced
 from .small_linear import norm
+
+_MANY = 2**16  # bytes of times that are not remembered
 
 
 class Landings(NamedTuple):
@@ -52,6 +55,24 @@ def stops_of(times: Any, least: float = 0.0) -> Stops:
         least: What a loop tells apart at least [s], where that is coarser than the
             clock.
     """
+    if is_traced(times):
+        return _stops(times, least)
+    return of_times(_stops, times, least)
+
+
+def of_times(function: Callable, times: np.ndarray, *further: Any) -> Any:
+    """``function(times, ...)``; of times that were there before, without a new look."""
+    if times.nbytes > _MANY:
+        return function(times, *further)
+    return _of_known(function, times.tobytes(), times.dtype, further)
+
+
+@functools.lru_cache(256)
+def _of_known(function: Callable, times: bytes, dtype: np.dtype, further: tuple) -> Any:
+    return function(np.frombuffer(times, dtype), *further)
+
+
+def _stops(times: Any, least: float) -> Stops:
     traced = is_traced(times)
     library = jnp if traced else np
     near = library.maximum(clock_step(times, library), times.dtype.type(least))

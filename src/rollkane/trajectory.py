@@ -1,5 +1,6 @@
 """What came out: a trajectory, with everything else computed from it when asked."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +21,9 @@ from .small_linear import matvec, norm
 from .voronets import AnyState
 
 
-class Trajectory(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Trajectory:
     """Motion of a scene at T times; under ``vmap`` every array has the batch in front.
 
     Attributes:
@@ -50,8 +53,16 @@ class Trajectory(eqx.Module):
     rejected_steps: Int[Array, ""]
     switches: Switches | None = None
     fault: Int[Array, ""] | int = NO_FAULT
-    method: str = eqx.field(static=True, default="diffrax")
-    why: str = eqx.field(static=True, default="")
+    method: str = dataclasses.field(metadata={"static": True}, default="diffrax")
+    why: str = dataclasses.field(metadata={"static": True}, default="")
+
+    def __repr__(self) -> str:
+        """Shapes and types of everything."""
+        return eqx.tree_pformat(self)
+
+    def __eq__(self, other: object) -> Any:
+        """Whether all numbers are equal."""
+        return eqx.tree_equal(self, other)
 
     def each(self, observable: Callable[[Scene, Array, Any], Any]) -> Any:
         """An observable of one state, at every time of every lane.

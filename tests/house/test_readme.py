@@ -1,6 +1,8 @@
 """The README's commands and example are true."""
 
+import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,22 +35,43 @@ def test_rollkane_commands_exist():
     assert set(said) <= set(main.commands)
 
 
+# What tells by which loop every run of a program went, as it ends.
+TOLD = """
+import atexit, json, pathlib
+import rollkane.methods as methods
+known, taken = [], methods.Taken
+methods.Taken = lambda *told: known.append(told[1:]) or taken(*told)
+atexit.register(lambda: pathlib.Path("told").write_text(json.dumps(known)))
+"""
+
+
+def run_program(text, folder):
+    """A program of its own; where there is a C compiler, all of its runs are native."""
+    run = subprocess.run(
+        [sys.executable, "-W", "error", "-c", TOLD + text],
+        capture_output=True,
+        text=True,
+        cwd=folder,  # some of them write files
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    told = json.loads((folder / "told").read_text())
+    if any(map(shutil.which, ("cc", "gcc", "clang"))):
+        assert told == [["native", ""]] * len(told)
+
+
 def test_python_examples_run(tmp_path):
-    """Each block is a program of its own; x64 is set inside, as a reader would."""
+    """Each block is a program of its own; x64 is set inside, as a reader would.
+
+    All of their runs are native, where there is a compiler.
+    """
     examples = [
         *blocks("python"),
         *(block for page in PAGES for block in blocks("python", page.read_text())),
     ]
     assert len(examples) > 2
     for example in examples:
-        run = subprocess.run(
-            [sys.executable, "-W", "error", "-c", example],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,  # some of them write files
-            check=False,
-        )
-        assert run.returncode == 0, run.stderr
+        run_program(example, tmp_path)
 
 
 def test_images_exist():

@@ -1,9 +1,12 @@
 """Compiling with little effort changes no result and no transformation."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
-from rollkane.one_call import for_one_call
+from rollkane import one_call
+from rollkane.one_call import for_one_call, with_little_effort
 
 double = for_one_call(lambda x: 2.0 * x)
 
@@ -26,3 +29,10 @@ def test_known_arguments_inside_a_trace_stay_known():
         return float(double(three)) * x
 
     assert times_six(2.0) == 12.0
+
+
+def test_options_that_a_release_does_not_know_are_left_out(monkeypatch):
+    monkeypatch.setattr(one_call, "_LITTLE_EFFORT", {"no_such_option_of_xla": True})
+    triple = with_little_effort(functools.partial(jax.jit, lambda x: 3.0 * x))
+    assert triple(jnp.asarray(2.0)) == 6.0
+    assert one_call._LITTLE_EFFORT == {}

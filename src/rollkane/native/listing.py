@@ -4,6 +4,7 @@ A number is one for all lanes, a C scalar, or a row of one value for each lane, 
 of the compiler's. What is the same at all stages of all steps is computed once a call.
 """
 
+import functools
 import math
 import re
 from collections.abc import Iterator
@@ -121,13 +122,19 @@ class Listing:
 def _in_memory(numbers: Numbers) -> tuple[str, int]:
     """Where numbers lie in an array in C, and how far apart."""
     texts = [x.text if isinstance(x, Symbol) else "" for x in numbers]
-    found = [_PLACE.fullmatch(text) for text in texts]
-    places = [int(x[1]) for x in found if x is not None]
+    places = [place for place in map(_place, texts) if place is not None]
     stride = places[1] - places[0] if len(places) > 1 else 1
     first = places[0] if places else 0
     if stride < 1 or places != [first + stride * i for i in range(len(texts))]:
         raise NotElementwiseError("a lookup among numbers that are computed")
     return f"shared + {first}", stride
+
+
+@functools.lru_cache(2**16)  # tables are looked up in several times
+def _place(text: str) -> int | None:
+    """Which of the shared numbers a text in C reads."""
+    found = _PLACE.fullmatch(text)
+    return None if found is None else int(found[1])
 
 
 def _expression(name: str, params: Any, operands: list, row: bool) -> str:
