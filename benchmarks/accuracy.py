@@ -24,7 +24,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import rollkane as rk  # noqa: E402
-from rollkane.scene_files import load_scene  # noqa: E402
+from rollkane.files.scene_files import load_scene  # noqa: E402
 
 SCENES: dict[str, dict] = {
     "rolling-disc": {"steps": (300, 1000, 3000), "precisions": ("double", "single")},

@@ -43,7 +43,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import rollkane as rk
-from rollkane.scene_files import load_scene
+from rollkane.files.scene_files import load_scene
 file = load_scene("ball-on-plane")
 times = [0.0, 0.1]
 starts = jax.tree.map(lambda x: jnp.stack([x, 1.01 * x]), file.start)
@@ -149,7 +149,7 @@ class Place(NamedTuple):
 
 def _named(key: str, data: bytes) -> str:
     try:
-        from rollkane.native.cache import _name
+        from rollkane.codegen.cache import _name
     except ImportError:  # a release before this check
         return f"{key}.so"
     return _name(key, data)

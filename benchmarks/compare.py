@@ -384,7 +384,7 @@ def show_rest(batch: list[dict], slopes: list[dict]) -> None:
 
 def draw(rows: list[dict], path: Path) -> None:
     """Error against time of all peers, a panel for each problem."""
-    from rollkane.plot_style import dress, new_figure, png
+    from rollkane.pictures.plot_style import dress, new_figure, png
 
     figure = new_figure((13.0, 4.8))
     panels = figure.subplots(1, 3, sharey=True)

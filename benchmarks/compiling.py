@@ -37,7 +37,7 @@ if {cache!r}:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 import rollkane as rk
-from rollkane.scene_files import load_scene
+from rollkane.files.scene_files import load_scene
 file = load_scene({scene!r})
 loaded = time.perf_counter()
 times = [0.0, 0.1]

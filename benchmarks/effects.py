@@ -29,9 +29,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane.coordinates import pack, unpack
-from rollkane.euler_lagrange import EQUATIONS
-from rollkane.rotations import rotation_matrix
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.kinematics.coordinates import pack, unpack
+from rollkane.paper.euler_lagrange import EQUATIONS
 
 jax.config.update("jax_enable_x64", True)
 

@@ -118,7 +118,7 @@ def variants(name):
     import jax
     import jax.numpy as jnp
 
-    from rollkane.scene_files.loading import load_scene
+    from rollkane.files.scene_files.loading import load_scene
 
     if name == "isolator":
         file = load_scene(name)
@@ -222,8 +222,8 @@ def first_result(name):
     """From a loaded library to a result [s], in this process."""
     import jax
 
-    from rollkane.scene_files.loading import load_scene
-    from rollkane.simulation import simulate
+    from rollkane.files.scene_files.loading import load_scene
+    from rollkane.simulation.run import simulate
 
     file = load_scene(name)
     began = time.perf_counter()

@@ -206,7 +206,7 @@ def table(name: str, sizes, repeats: int) -> dict:
 
 def draw(tables: dict, path: Path) -> None:
     """Time against size, a panel for each table."""
-    from rollkane.plot_style import BLUE, dress, new_figure, png
+    from rollkane.pictures.plot_style import BLUE, dress, new_figure, png
 
     figure = new_figure((15.0, 3.6))
     panels = figure.subplots(1, len(tables))

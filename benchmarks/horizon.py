@@ -88,7 +88,7 @@ def routh():
 
 def rattleback():
     """Kane and Levinson's; its spin [rad/s]."""
-    from rollkane.scene_files import load_scene
+    from rollkane.files.scene_files import load_scene
 
     file = load_scene("rattleback")
     return file.scene, file.start, 5.0

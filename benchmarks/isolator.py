@@ -33,8 +33,8 @@ import jax
 import numpy as np
 
 import rollkane as rk
-from rollkane.base_motion import AbstractBaseMotion
-from rollkane.scene_files import load_scene
+from rollkane.files.scene_files import load_scene
+from rollkane.kinematics.base_motion import AbstractBaseMotion
 
 jax.config.update("jax_enable_x64", True)
 

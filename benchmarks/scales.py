@@ -80,7 +80,7 @@ def show(row: dict) -> None:
 
 def draw(runs: dict[str, Energies], path: Path) -> None:
     """Energy errors against size and mass, and by kind."""
-    from rollkane.plot_style import BLUE, RED, dress, new_figure, png
+    from rollkane.pictures.plot_style import BLUE, RED, dress, new_figure, png
 
     figure = new_figure((13.0, 4.6))
     by_size, by_mass, by_kind = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.0))

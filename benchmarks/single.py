@@ -33,7 +33,7 @@ def scene_of(name):
     import numpy as np
 
     import rollkane as rk
-    from rollkane.rotations import rotation_matrix
+    from rollkane.geometry.rotations import rotation_matrix
 
     problem = PROBLEMS[name]
     surface = problem["surface"]
@@ -59,7 +59,7 @@ def end_numbers(problem, result):
     """Quaternion, body angular velocity, x and y of the mass centre at the end."""
     import numpy as np
 
-    from rollkane.rotations import rotation_matrix
+    from rollkane.geometry.rotations import rotation_matrix
 
     q = np.asarray(result.orientation[-1])
     centre = np.asarray(result.position[-1]) + np.asarray(rotation_matrix(q)) @ (

@@ -21,7 +21,7 @@ import numpy as np
 
 import rollkane as rk
 from rollkane import kane
-from rollkane.rotations import about_axis
+from rollkane.geometry.rotations import about_axis
 
 jax.config.update("jax_enable_x64", True)
 MASS, RADIUS, G = 2.0, 0.5, 9.81

@@ -7,8 +7,8 @@ this.
 import jax
 import jax.numpy as jnp
 
-from rollkane.small_linear import cross
-from rollkane.voronets import charts_of
+from rollkane.geometry.small_linear import cross
+from rollkane.kinematics.voronets import charts_of
 
 
 def pose(scene, x, t, sign):

@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane import observables
-from rollkane.euler_lagrange import residual_of
-from rollkane.one_call import for_one_call
-from rollkane.quasi_energy import (
+from rollkane.codegen.compile_effort import for_one_call
+from rollkane.dynamics import observables
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.paper.euler_lagrange import residual_of
+from rollkane.paper.quasi_energy import (
     Configuration,
     inertia_of,
     kinetic_energy_with_slip,
     place_of,
 )
-from rollkane.rotations import rotation_matrix
 
 from . import paper
 from .by_definition import affine, coordinates, defined_symbols, pose

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane.rotations import rotation_matrix
+from rollkane.geometry.rotations import rotation_matrix
 
 DATA = Path(__file__).parent / "data"
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane.trajectory import Code
+from rollkane.simulation.trajectory import Code
 
 ROWS = 24  # one number of states for all: their programs are compiled once
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array
 
 import rollkane as rk
-from rollkane.loads import AbstractLoad
-from rollkane.small_linear import matvec_transposed
+from rollkane.dynamics.loads import AbstractLoad
+from rollkane.geometry.small_linear import matvec_transposed
 
 from .paper import moving_base
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import jax
 import numpy as np
 from matplotlib.collections import PolyCollection
-
-import rollkane as rk
 from rollkane.history import history
 from rollkane.mesh import surface_mesh
 from rollkane.plot_path import draw_path
 from rollkane.plot_style import BLUE, FAINT, INK, RED, dress, new_figure, png
 from rollkane.whole_file import write_whole
+
+import rollkane as rk
 
 SHOWN = (0.0, 1.35, 2.7, 4.0, 5.7)  # times at which the stone is drawn [s]
 LIGHT, DARK = np.array([0.957, 0.937, 0.902]), np.array([0.851, 0.471, 0.235])

@@ -124,7 +124,7 @@ def simulate(
         quiet,
     )
     if not quiet:
-        from .summary import summary
+        from .pictures.summary import summary
 
         click.echo(file.title)
         for line in (*summary(result), timing):
@@ -201,8 +201,8 @@ def work_precision(
     _start_jax()
     file = _loaded(ctx, scene)
 
-    from .checks import FieldError
-    from .precision import work_precision as measure
+    from .studies.work_precision import work_precision as measure
+    from .validation.checks import FieldError
 
     chosen: dict[str, Any] = {name: value for name, value in choices.items() if value}
     try:
@@ -253,7 +253,7 @@ def _shown_by(bar: Any) -> Callable[[int, int, str], None]:
 @main.command()
 def scenes() -> None:
     """List the built-in scenes."""
-    from .scene_files import builtin_scenes
+    from .files.scene_files import builtin_scenes
 
     lines = builtin_scenes()
     width = max(map(len, lines))
@@ -277,7 +277,7 @@ def check(ctx: click.Context, scene: str) -> None:
 @main.command()
 def schema() -> None:
     """Print the JSON schema of a scene file."""
-    from .scene_files import scene_schema
+    from .files.scene_files import scene_schema
 
     click.echo(json.dumps(scene_schema(), indent=2))
 
@@ -293,7 +293,7 @@ def _start_jax() -> None:
 
 
 def _loaded(ctx: click.Context, scene: str) -> Any:
-    from .scene_files import SceneFileError, load_scene
+    from .files.scene_files import SceneFileError, load_scene
 
     try:
         return load_scene(scene)
@@ -310,8 +310,8 @@ def _run(
     """The trajectory, and a line that tells compiling from running."""
     import jax
 
-    from .checks import FieldError
-    from .simulation import simulate as integrate
+    from .simulation.run import simulate as integrate
+    from .validation.checks import FieldError
 
     def timed() -> tuple[Any, float]:
         began = time.perf_counter()
@@ -365,7 +365,7 @@ def _refuse(option: str, message: str) -> None:
 
 def _write(name: str, result: Any, target: Path, title: str) -> bool:
     """Whether the file could be made: a run without any state shows nothing."""
-    from .checks import FieldError
+    from .validation.checks import FieldError
 
     try:
         _writer(name)(result, target, title)
@@ -379,13 +379,13 @@ def _write(name: str, result: Any, target: Path, title: str) -> bool:
 
 def _writer(name: str) -> Callable[[Any, Path, str], None]:
     if name == "out":
-        from .export import write_netcdf
+        from .files.export import write_netcdf
 
         return lambda result, target, title: write_netcdf(result, target)
     if name == "view":
-        from .viewer import write_view
+        from .pictures.viewer import write_view
 
         return write_view
-    from .plotting import plot_contact_path, plot_overview
+    from .pictures.plotting import plot_contact_path, plot_overview
 
     return plot_overview if name == "plot" else plot_contact_path

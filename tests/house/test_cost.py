@@ -10,12 +10,19 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import contact, contact_laws, mass_matrix, quasi_energy
-from rollkane.base_motion import BaseKinematics
-from rollkane.bodies import inertia_about
-from rollkane.contact import rolling_contact
-from rollkane.rotations import rotation_matrix
-from rollkane.small_linear import components, cross, matvec_transposed, solve_spd
+from rollkane.dynamics import contact_laws, mass_matrix
+from rollkane.dynamics.bodies import inertia_about
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.geometry.small_linear import (
+    components,
+    cross,
+    matvec_transposed,
+    solve_spd,
+)
+from rollkane.kinematics import contact
+from rollkane.kinematics.base_motion import BaseKinematics
+from rollkane.kinematics.contact import rolling_contact
+from rollkane.paper import quasi_energy
 
 from .. import problems
 from ..quick import slow_but

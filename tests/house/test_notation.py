@@ -5,11 +5,13 @@ import re
 from pathlib import Path
 
 import rollkane as rk
-from rollkane import bodies, contact, contact_laws, quasi_energy
-from rollkane.base_motion import BaseKinematics
-from rollkane.mass_matrix import System
-from rollkane.supported import Carried, Turning
-from rollkane.voronets import ChartContact
+from rollkane.dynamics import bodies, contact_laws
+from rollkane.dynamics.mass_matrix import System
+from rollkane.dynamics.supported import Carried, Turning
+from rollkane.kinematics import contact
+from rollkane.kinematics.base_motion import BaseKinematics
+from rollkane.kinematics.voronets import ChartContact
+from rollkane.paper import quasi_energy
 
 TABLE = (Path(__file__).parents[2] / "docs" / "notation.md").read_text()
 OWNERS = {

@@ -178,16 +178,13 @@ def _is_public(node):
 
 
 def test_mechanics_names_its_equations():
-    rooms = (
-        "contact",
-        "mass_matrix",
-        "rolling",
-        "geometry",
-        "bodies",
-        "placement",
-        "supported",
-    )
-    rooms += ("voronets", "quasi_velocities", "quasi_energy", "euler_lagrange")
-    for room in rooms:
-        text = (SOURCE / f"{room}.py").read_text()
-        assert re.search(r"Source: (theory|\[A\])", text), room
+    modules = {
+        "geometry": ("local_geometry",),
+        "kinematics": ("contact", "voronets"),
+        "dynamics": ("bodies", "mass_matrix", "placement", "rolling", "supported"),
+        "paper": ("quasi_velocities", "quasi_energy", "euler_lagrange"),
+    }
+    for folder, names in modules.items():
+        for name in names:
+            text = (SOURCE / folder / f"{name}.py").read_text()
+            assert re.search(r"Source: (theory|\[A\])", text), name

@@ -38,7 +38,7 @@ def test_rollkane_commands_exist():
 # What tells by which loop every run of a program went, as it ends.
 TOLD = """
 import atexit, json, pathlib
-import rollkane.methods as methods
+import rollkane.integration.backends as methods
 known, taken = [], methods.Taken
 methods.Taken = lambda *told: known.append(told[1:]) or taken(*told)
 atexit.register(lambda: pathlib.Path("told").write_text(json.dumps(known)))

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.accelerogram_units import (
+from rollkane.files.accelerogram_units import (
     PER_SECOND_SQUARED,
     QUANTITIES,
     TIMES,
     UNITS,
     said,
 )
-from rollkane.scene_files.moving import _READERS
-from rollkane.scene_files.moving_tables import RecordTable
+from rollkane.files.scene_files.motion_building import _READERS
+from rollkane.files.scene_files.moving_tables import RecordTable
 
 from .. import record_files
 

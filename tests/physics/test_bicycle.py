@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from rollkane import kane
-from rollkane.one_call import for_one_call
+from rollkane.codegen.compile_effort import for_one_call
 
 
 def torque(bicycle):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.rolling import contact_force, contact_of
-from rollkane.rotations import rotation_matrix
+from rollkane.dynamics.rolling import contact_force, contact_of
+from rollkane.geometry.rotations import rotation_matrix
 
 from .. import problems
 from ..quick import slow_but

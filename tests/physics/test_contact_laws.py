@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import contact_laws, kane, mass_matrix, observables, rolling
+from rollkane import kane
+from rollkane.codegen.compile_effort import for_one_call
+from rollkane.dynamics import contact_laws, mass_matrix, observables, rolling
+from rollkane.geometry.rotations import tangent_pair
 from rollkane.kane import rolling_scene
-from rollkane.one_call import for_one_call
-from rollkane.rotations import tangent_pair
 from tests.random_scenes import stacked
 
 SEEDS = 12

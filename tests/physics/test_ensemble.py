@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.observables import energy
+from rollkane.dynamics.observables import energy
 
 from .. import problems
 
@@ -306,7 +306,7 @@ def test_traced_arguments_do_not_stream():
 
 def test_the_loop_is_compiled_once_for_its_kind():
     """Other numbers, other starts, other counts: nothing new; another solver: one."""
-    from rollkane.lane_blocks import _compiled
+    from rollkane.simulation.lane_blocks import _compiled
 
     scene, starts = discs(5)
     run = lambda s, x, **how: rk.ensemble(s, x, [0.0, 0.01], method="native", **how)

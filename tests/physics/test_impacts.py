@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.coordinates import FlyingState
-from rollkane.impact_process import NEVER_SLIPS
-from rollkane.impacts import impact
-from rollkane.rotations import rotation_matrix
+from rollkane.dynamics.impact_process import NEVER_SLIPS
+from rollkane.dynamics.impacts import impact
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.kinematics.coordinates import FlyingState
 
 SLOW = 1e-9  # [m/s]: below every rebound here but those of plastic impacts
 COUNT = 5000

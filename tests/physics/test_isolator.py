@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.base_motion import AbstractBaseMotion
-from rollkane.scene_files import load_scene
+from rollkane.files.scene_files import load_scene
+from rollkane.kinematics.base_motion import AbstractBaseMotion
 
 TOLERANCES = (1e-8, 1e-9, 1e-10, 1e-11)
 END = 3.0  # [s], 150 samples

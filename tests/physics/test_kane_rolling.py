@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import kane, observables, rolling
-from rollkane.one_call import for_one_call
+from rollkane import kane
+from rollkane.codegen.compile_effort import for_one_call
+from rollkane.dynamics import observables, rolling
 from tests.kane_by_hand import by_hand, with_the_core
 from tests.random_scenes import stacked
 

@@ -150,7 +150,7 @@ def test_the_body_origin_does_not_matter(plain):
 
 def test_power_of_the_loads_is_the_rate_of_kinetic_energy():
     """The contact does no work: dE/dt = 0 along the right-hand side, exactly."""
-    from rollkane.observables import energy
+    from rollkane.dynamics.observables import energy
 
     scene, start, _ = scene_and_start()
     rates = rk.rolling_derivative(scene, jnp.zeros(()), start)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
+from rollkane.validation.checks import FieldError
 from tests.problems import reference_case
 
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables, rolling
-from rollkane.rotations import rotation_matrix
+from rollkane.dynamics import observables, rolling
+from rollkane.geometry.rotations import rotation_matrix
 
 from .. import problems
 from ..paper import moving_base

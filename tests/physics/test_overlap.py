@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import clearance
-from rollkane.surfaces import AbstractSurface
+from rollkane.dynamics import clearance
+from rollkane.geometry.surfaces import AbstractSurface
 
 from .. import outputs_alone
 from ..quick import slow_but

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables, rolling
-from rollkane.euler_lagrange import EQUATIONS
-from rollkane.quasi_energy import applied
+from rollkane.dynamics import observables, rolling
+from rollkane.paper.euler_lagrange import EQUATIONS
+from rollkane.paper.quasi_energy import applied
 
 from .. import paper
 from ..quick import slow_but

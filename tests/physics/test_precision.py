@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import timed_runs
-from rollkane.scene_files import builtin_scenes, load_scene
+from rollkane.files.scene_files import builtin_scenes, load_scene
+from rollkane.studies import timing
 
 from .. import problems
 from ..quick import slow_but
@@ -165,19 +165,19 @@ def test_bad_input_is_refused(case):
 def test_the_reference_has_more_than_double_precision(monkeypatch):
     """It is surer than double precision, and within what that is sure of."""
     scene, start = problems.disc(6.0)
-    task = timed_runs.Task("disc", scene, start, 5.0)
-    fine = timed_runs.reference_of(task)
+    task = timing.Task("disc", scene, start, 5.0)
+    fine = timing.reference_of(task)
     assert "in 64 bits" in fine.text
-    monkeypatch.setattr(timed_runs, "_EXTENDED", (1e-15,))
-    coarse = timed_runs.reference_of(task)
+    monkeypatch.setattr(timing, "_EXTENDED", (1e-15,))
+    coarse = timing.reference_of(task)
     assert "1e-15 in 64 bits and Dopri5 at 1e-14" in coarse.text
-    monkeypatch.setattr(timed_runs, "_EXTENDED_STEPS", 100)
-    double = timed_runs.reference_of(task)
+    monkeypatch.setattr(timing, "_EXTENDED_STEPS", 100)
+    double = timing.reference_of(task)
     assert "Dopri8" in double.text
     # a hundred roundings of numbers of one; of a step's error at 1e-13, a thousandth
     assert fine.certainty < 1e-14 < 1e-13 < double.certainty
     for other in (coarse, double):
-        apart = max(timed_runs._differences(fine.end, other.end))
+        apart = max(timing._differences(fine.end, other.end))
         assert apart <= other.certainty + fine.certainty
 
 

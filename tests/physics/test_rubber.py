@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables
-from rollkane.consistency import consistent, spin_stopped
-from rollkane.rolling import contact_of
+from rollkane.dynamics import observables
+from rollkane.dynamics.consistency import consistent, spin_stopped
+from rollkane.dynamics.rolling import contact_of
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 AXES = np.array([0.5, 0.6, 0.7])

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables
-from rollkane.euler_lagrange import EQUATIONS
-from rollkane.one_call import for_one_call
-from rollkane.quasi_energy import (
+from rollkane.codegen.compile_effort import for_one_call
+from rollkane.dynamics import observables
+from rollkane.dynamics.rolling import contact_force
+from rollkane.paper.euler_lagrange import EQUATIONS
+from rollkane.paper.quasi_energy import (
     Configuration,
     angular_momentum_about_contact,
     inertia_of,
     kinetic_energy_with_slip,
     place_of,
 )
-from rollkane.rolling import contact_force
 
 from ..by_definition import defined_symbols
 from ..random_scenes import PAIRS, stacked

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane.observables import kinetic_energy
-from rollkane.rotations import rotation_matrix
-from rollkane.surfaces import AbstractSurface
+from rollkane.dynamics.observables import kinetic_energy
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.geometry.surfaces import AbstractSurface
 
 from .fuzzing import Draw
 

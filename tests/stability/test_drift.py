@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
-from rollkane.rolling import contact_of
-from rollkane.small_linear import cross
+from rollkane.dynamics.rolling import contact_of
+from rollkane.geometry.small_linear import cross
+from rollkane.validation.checks import FieldError
 
 from .. import problems
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.accelerograms import BUILTIN_RECORDS
+from rollkane.files.accelerograms import BUILTIN_RECORDS
 
 from ..record_files import AT2, COLUMNS, HEADER, SINGLE, v2a, v2a_lines
 

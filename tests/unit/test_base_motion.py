@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import observables
-from rollkane.checks import FieldError
-from rollkane.rotations import rotation_matrix
+from rollkane.dynamics import observables
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.validation.checks import FieldError
 
 ROUNDED = 1e-13  # some dozen roundings of numbers of order 1 to 10
 TIMES = (-0.4, 0.0, 0.7, 2.3)

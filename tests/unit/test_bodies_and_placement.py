@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.bodies import inertia_about
-from rollkane.rolling import contact_of
+from rollkane.dynamics.bodies import inertia_about
+from rollkane.dynamics.rolling import contact_of
 
 from .. import problems
 

@@ -14,8 +14,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from rollkane.native import NoCompilerError, cache
-from rollkane.native import compiler as compilers
+from rollkane.codegen import NoCompilerError, cache
+from rollkane.codegen import compiler as compilers
 
 KEY = "0" * 32
 ANOTHER = 12345  # a user without a name
@@ -512,7 +512,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import equinox as eqx
 import rollkane as rk
-from rollkane.scene_files import load_scene
+from rollkane.files.scene_files import load_scene
 file = load_scene("ball-on-plane")
 def end(w):
     start = eqx.tree_at(lambda s: s.angular_velocity, file.start, w)

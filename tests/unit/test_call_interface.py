@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.native import NoCompilerError, check_usable
-from rollkane.native.xla_call import Interface, XlaCall, callable_program
+from rollkane.codegen import NoCompilerError, check_usable
+from rollkane.codegen.ffi_call import Interface, XlaCall, callable_program
 
 HEADERS = sorted((Path(__file__).parents[1] / "data" / "call_interface").glob("*.h"))
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import simulation
 from rollkane.cli import _start_jax, main
-from rollkane.native import NoCompilerError
-from rollkane.scene_files import load_scene
+from rollkane.codegen import NoCompilerError
+from rollkane.files.scene_files import load_scene
+from rollkane.simulation import run as simulation
 
 BALL = """\
 title = "a ball on a ball"
@@ -271,7 +271,7 @@ def test_a_disk_that_refuses(folder, monkeypatch):
     def full(*_):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr("rollkane.export.write_whole", full)
+    monkeypatch.setattr("rollkane.files.export.write_whole", full)
     result = rollkane_with("simulate", "ball.toml", "-q", "--out", "a.nc")
     assert result.exit_code == 1
     assert "cannot write a.nc: no space left" in result.output
@@ -309,7 +309,7 @@ def test_work_precision_without_a_compiler(folder, monkeypatch):
     def broken():
         raise NoCompilerError("no C compiler was found")
 
-    monkeypatch.setattr("rollkane.timed_runs.check_usable", broken)
+    monkeypatch.setattr("rollkane.studies.timing.check_usable", broken)
     options = ["--horizon", "0.2", "--solver", "Tsit5", "--rtol", "1e-4", "-q"]
     done = rollkane_with("work-precision", "ball.toml", *options, "--repeats", "1")
     assert done.exit_code == 0, done.output

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
+from rollkane.validation.checks import FieldError
 
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 BALL = rk.Body(2.0, 0.4 * 2.0 * 0.1**2 * np.eye(3), rk.Sphere(0.1))

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from rollkane.directed_friction import Balance, begins, first_way
+from rollkane.dynamics.directed_friction import Balance, begins, first_way
 
 
 def bodies(rng, count):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import rollkane
-from rollkane.export import to_xarray, write_netcdf
-from rollkane.scene_files import load_scene
-from rollkane.simulation import simulate
+from rollkane.files.export import to_xarray, write_netcdf
+from rollkane.files.scene_files import load_scene
+from rollkane.simulation.run import simulate
 
 VECTORS = (
     "position",

@@ -8,7 +8,7 @@ import pytest
 
 import rollkane as rk
 from rollkane import kane
-from rollkane.checks import FieldError
+from rollkane.validation.checks import FieldError
 
 G = 9.81
 

@@ -10,8 +10,8 @@ import pytest
 
 import rollkane as rk
 from rollkane import kane
-from rollkane.checks import FieldError
-from rollkane.kane.refusals import refuse_start
+from rollkane.kane.singular_states import refuse_start
+from rollkane.validation.checks import FieldError
 
 G = 9.81
 plane = lambda t, q, u: [u[0], u[1], 0.0]

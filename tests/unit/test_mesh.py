@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.mesh import Mesh, body_size, plate_mesh, surface_mesh
+from rollkane.pictures.mesh import Mesh, body_size, plate_mesh, surface_mesh
 
 
 def _round(p):

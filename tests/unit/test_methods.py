@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane import integration, kane, methods
-from rollkane.native import NoCompilerError
-from rollkane.native import compiler as compilers
-from rollkane.scene_files.loading import builtin_scenes, load_scene
+from rollkane import kane
+from rollkane.codegen import NoCompilerError
+from rollkane.codegen import compiler as compilers
+from rollkane.files.scene_files.loading import builtin_scenes, load_scene
+from rollkane.integration import backends as methods
+from rollkane.integration import integrate as integration
 
 from .. import problems
 
@@ -134,7 +136,7 @@ def test_rates_that_search_are_tried_once(monkeypatch):
     note = lambda *a, native, **k: (
         asked.append(native) or traced(*a, native=native, **k)
     )
-    monkeypatch.setattr("rollkane.simulation.integrate", note)
+    monkeypatch.setattr("rollkane.simulation.run.integrate", note)
     assert short(scene, start).why == run.why
     assert asked == [False]
     with pytest.raises(rk.FieldError, match="more than arithmetic: while"):
@@ -142,7 +144,7 @@ def test_rates_that_search_are_tried_once(monkeypatch):
 
 
 def test_a_program_that_is_too_long_goes_by_diffrax(monkeypatch):
-    monkeypatch.setattr("rollkane.native.step_source._MOST_STATEMENTS", 30)
+    monkeypatch.setattr("rollkane.codegen.runge_kutta_source._MOST_STATEMENTS", 30)
     monkeypatch.setattr(methods, "_refusals", {})
     jax.clear_caches()  # what was compiled before would serve
     assert "too many operations" in short(*problems.disc()).why
@@ -162,7 +164,7 @@ def test_without_a_compiler_there_is_one_sentence(monkeypatch, tmp_path):
     def missing(*arguments, **options):
         raise no
 
-    monkeypatch.setattr("rollkane.native.runs.XlaCall", missing)
+    monkeypatch.setattr("rollkane.codegen.run_loop.XlaCall", missing)
     with pytest.warns(RuntimeWarning, match="diffrax takes its place") as told:
         run = short(scene, start)
     assert (run.method, run.why) == ("diffrax", str(no))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
-from rollkane.steps import landings
+from rollkane.integration.step_control import landings
+from rollkane.validation.checks import FieldError
 from tests import paper
 
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.export import to_xarray
-from rollkane.history import history
-from rollkane.plotting import figure_contact_path, figure_overview
-from rollkane.rotations import rotation_matrix
-from rollkane.scene_files import load_scene
-from rollkane.summary import summary
-from rollkane.viewer import view_data
+from rollkane.files.export import to_xarray
+from rollkane.files.scene_files import load_scene
+from rollkane.geometry.rotations import rotation_matrix
+from rollkane.pictures.motion_samples import history
+from rollkane.pictures.plotting import figure_contact_path, figure_overview
+from rollkane.pictures.summary import summary
+from rollkane.pictures.viewer import view_data
 
 ASSETS = resources.files("rollkane") / "viewer_assets"
 # a product of a dozen roundings of numbers of order 1

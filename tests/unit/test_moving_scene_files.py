@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.scene_files import SceneFileError, load_scene
+from rollkane.files.scene_files import SceneFileError, load_scene
 
 from ..record_files import v2a
 

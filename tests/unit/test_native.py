@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.native import LaneLoop, NoCompilerError, Queue, Stops
-from rollkane.native import compiler as compilers
-from rollkane.numberwise import NotElementwiseError
-from rollkane.tableau import weights_of
+from rollkane.codegen import LaneLoop, NoCompilerError, Queue, Stops
+from rollkane.codegen import compiler as compilers
+from rollkane.codegen.scalar_program import NotElementwiseError
+from rollkane.codegen.tableau import weights_of
 
 TABLE = np.sin(np.arange(9.0))
 PLACES = np.arange(12.0).reshape(4, 3) ** 0.5
@@ -288,8 +288,8 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
 def test_only_arithmetic_is_left_of_a_disc():
     """442 equations of arrays are 217 operations; a zero of the plane costs nothing."""
     from rollkane import rolling_derivative
-    from rollkane.coordinates import pack, unpack
-    from rollkane.native.right_hand_side import lanes_source
+    from rollkane.codegen.right_hand_side import lanes_source
+    from rollkane.kinematics.coordinates import pack, unpack
 
     from .. import problems
 

@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from rollkane.checks import FieldError
-from rollkane.history import history
-from rollkane.plot_path import draw_path
-from rollkane.plot_style import limits, new_figure, png
-from rollkane.plotting import (
+from rollkane.pictures.motion_samples import history
+from rollkane.pictures.plot_path import draw_path
+from rollkane.pictures.plot_style import limits, new_figure, png
+from rollkane.pictures.plotting import (
     figure_contact_path,
     figure_overview,
     plot_contact_path,
     plot_overview,
     tilt_angle,
 )
+from rollkane.validation.checks import FieldError
 from tests.pictures import rolling_in_bowl, rolling_on_plane, rolling_on_sphere
 
 

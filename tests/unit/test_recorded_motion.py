@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
+from rollkane.validation.checks import FieldError
 
 # clocks as files print them: count, step [s], decimals; off by up to 0.15 of a step
 PRINTED = {

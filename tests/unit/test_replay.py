@@ -11,10 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane import replay
-from rollkane.native import NoCompilerError, derivatives, step_source, xla_call
-from rollkane.replay import Run, Steps
-from rollkane.tableau import weights_of
+from rollkane.codegen import (
+    NoCompilerError,
+    derivative_loops,
+    ffi_call,
+    runge_kutta_source,
+)
+from rollkane.codegen.tableau import weights_of
+from rollkane.integration import replay
+from rollkane.integration.replay import Run, Steps
 
 from .test_native import OPERATIONS
 from .test_native import rates as every_operation
@@ -155,15 +160,15 @@ def test_without_c(why, monkeypatch):
         def none(*arguments):
             raise NoCompilerError("no C compiler was found")
 
-        monkeypatch.setattr(xla_call, "_target", none)
+        monkeypatch.setattr(ffi_call, "_target", none)
     elif why == "device":
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     else:
-        monkeypatch.setattr(step_source, "_MOST_STATEMENTS", 3)
+        monkeypatch.setattr(runge_kutta_source, "_MOST_STATEMENTS", 3)
     run, steps = run_and_steps()
     unit = [jnp.eye(4)[:2], jnp.eye(4)[2:]]
-    assert replay._in_c(derivatives.TangentLoop, run, START, jnp.eye(2)) is None
-    assert replay._in_c(derivatives.CotangentLoop, run, START, 16) is None
+    assert replay._in_c(derivative_loops.TangentLoop, run, START, jnp.eye(2)) is None
+    assert replay._in_c(derivative_loops.CotangentLoop, run, START, 16) is None
     shown, _ = replay.push(run, steps, unit)
     np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
 
@@ -180,7 +185,7 @@ def test_every_operation_has_its_derivatives(dtype):
     record = jnp.asarray([0.0, 0.1, 0.3, np.inf], dtype)
     times = jnp.asarray([0.0, 0.3], dtype)
     steps = Steps.of(record, jnp.asarray(2), varied[2][None], times, None)
-    assert replay._in_c(derivatives.TangentLoop, run, varied[2], some(n, 8))
+    assert replay._in_c(derivative_loops.TangentLoop, run, varied[2], some(n, 8))
     asked, moved = (some(2, n), some(n)), [some(*x.shape, 8) for x in varied]
     both = [
         jax.jit(

@@ -10,18 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.loads import Gravity
-from rollkane.scene_files import (
+from rollkane.dynamics.loads import Gravity
+from rollkane.files.scene_files import (
     SceneFileError,
     builtin_scenes,
     load_scene,
     scene_schema,
 )
-from rollkane.scene_files.building import _BY_FORMULA, _CATALOGUE
-from rollkane.scene_files.formulas import Formula, FormulaError, parse
-from rollkane.scene_files.load_tables import GravityTable
-from rollkane.scene_files.positions import line_and_column, positions
-from rollkane.scene_files.tables import SURFACES
+from rollkane.files.scene_files.formulas import Formula, FormulaError, parse
+from rollkane.files.scene_files.load_tables import GravityTable
+from rollkane.files.scene_files.positions import line_and_column, positions
+from rollkane.files.scene_files.scene_building import _BY_FORMULA, _CATALOGUE
+from rollkane.files.scene_files.tables import SURFACES
 
 GOOD = """\
 title = "a ball"

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.small_linear import solve_spd
+from rollkane.geometry.small_linear import solve_spd
 
 
 @pytest.mark.parametrize("n", [3, 13])

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from rollkane.scene_files import load_scene
-from rollkane.simulation import simulate
-from rollkane.summary import sign_changes, summary
+from rollkane.files.scene_files import load_scene
+from rollkane.pictures.summary import sign_changes, summary
+from rollkane.simulation.run import simulate
 
 
 def test_sign_changes_of_a_cubic_are_exact():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.geometry import travel
-from rollkane.surfaces import AbstractPointSurface
+from rollkane.geometry.local_geometry import travel
+from rollkane.geometry.surfaces import AbstractPointSurface
 
 # first and second derivatives of functions of order one: 1e-12 is 1e4 roundings
 TIGHT = 1e-12

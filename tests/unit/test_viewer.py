@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.checks import FieldError
-from rollkane.viewer import MOST_FRAMES, view_data, view_page, write_view
+from rollkane.pictures.viewer import MOST_FRAMES, view_data, view_page, write_view
+from rollkane.validation.checks import FieldError
 from tests.pictures import (
     ROWS,
     circle,

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.native import in_one_program, in_one_program_or_not
-from rollkane.numberwise import NotElementwiseError
-from rollkane.small_linear import components
+from rollkane.codegen import in_one_program, in_one_program_or_not
+from rollkane.codegen.scalar_program import NotElementwiseError
+from rollkane.geometry.small_linear import components
 
 X = jnp.array([0.3, -0.5, 0.9])
 MANY = jnp.sin(1.0 + jnp.arange(60.0) ** 1.5)

@@ -11,8 +11,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..rotations import about_axis
-from ..small_linear import cross
+from ..geometry.rotations import about_axis
+from ..geometry.small_linear import cross
 from .system import KaneState, KaneSystem, Load, RigidBody
 
 LEAN_AND_STEER = (3, 5)  # coordinates, for ``linearize``

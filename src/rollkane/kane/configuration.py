@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..checks import FieldError
+from ..validation.checks import FieldError
 from .equations import Partials, speeds_of
 from .system import KaneState, KaneSystem
 

@@ -15,9 +15,9 @@ import lineax as lx
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..checks import FieldError, is_traced
-from ..small_linear import components, cross, solve_spd
-from ..user_function import GivenFunction, as_time
+from ..geometry.small_linear import components, cross, solve_spd
+from ..validation.checks import FieldError, is_traced
+from ..validation.user_functions import GivenFunction, as_time
 from .system import KaneState, KaneSystem, RigidBody
 
 # of the scale of a matrix: a thousand roundings of double precision

@@ -10,11 +10,11 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ..checks import FieldError, is_traced
-from ..one_call import for_one_call
-from ..user_function import as_time
+from ..codegen.compile_effort import for_one_call
+from ..validation.checks import FieldError, is_traced
+from ..validation.user_functions import as_time
 from .equations import reduced
-from .refusals import examined, refuse
+from .singular_states import examined, refuse
 from .system import KaneState, KaneSystem
 
 

@@ -9,24 +9,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from ..checks import FieldError
-from ..codes import NO_FAULT, Code, Fields
-from ..integration import (
+from ..integration.backends import check_method, run_by, without_native
+from ..integration.integrate import (
     Problem,
     checked_times,
     integrate,
     tolerances,
     warn_single_precision,
 )
-from ..keeping import KeepingEnergy
-from ..methods import check_method, run_by, without_native
-from .equations import (
-    all_speeds,
-    kane_derivative,
-    kinetic_energy,
-    reactions,
-)
-from .refusals import refuse_start
+from ..integration.projection import KeepingEnergy
+from ..validation.checks import FieldError
+from ..validation.codes import NO_FAULT, Code, Fields
+from .equations import all_speeds, kane_derivative, kinetic_energy, reactions
+from .singular_states import refuse_start
 from .system import KaneState, KaneSystem
 
 

@@ -11,15 +11,15 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..checks import FieldError
-from ..contact import Contact
-from ..coordinates import State, pack, unpack
-from ..loads import AbstractLoad
-from ..mass_matrix import field_of, generalized_force, shares
-from ..rolling import contact_of
-from ..scene import Rolling, Scene
-from ..small_linear import cross
-from ..supported import Carried
+from ..dynamics.loads import AbstractLoad
+from ..dynamics.mass_matrix import field_of, generalized_force, shares
+from ..dynamics.rolling import contact_of
+from ..dynamics.scene import Rolling, Scene
+from ..dynamics.supported import Carried
+from ..geometry.small_linear import cross
+from ..kinematics.contact import Contact
+from ..kinematics.coordinates import State, pack, unpack
+from ..validation.checks import FieldError
 from .system import KaneState, KaneSystem, Load, Particle, RigidBody
 
 

@@ -14,9 +14,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..bodies import checked_inertia
-from ..checks import FieldError, positive
-from ..user_function import GivenFunction, as_floats
+from ..dynamics.bodies import checked_inertia
+from ..validation.checks import FieldError, positive
+from ..validation.user_functions import GivenFunction, as_floats
 
 
 class Particle(eqx.Module):

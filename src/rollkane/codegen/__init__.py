@@ -1,0 +1,31 @@
+"""Many motions in one compiled loop: the right-hand side as C, and a loop over lanes.
+
+XLA's fusions compute shared intermediate values again and again, and a step of many
+lanes goes through memory a hundred times; a kernel of our own keeps it in registers.
+"""
+
+from .compiler import NoCompilerError
+from .derivative_loops import CotangentLoop, Rates, TangentLoop, Way
+from .ffi_call import check_usable
+from .lane_loop import LaneLoop, Queue, Results, Stops
+from .right_hand_side import zeros_of
+from .run_loop import Course, RunLoop
+from .whole_program import in_one_program, in_one_program_or_not
+
+__all__ = [
+    "CotangentLoop",
+    "Course",
+    "LaneLoop",
+    "NoCompilerError",
+    "Queue",
+    "Rates",
+    "Results",
+    "RunLoop",
+    "Stops",
+    "TangentLoop",
+    "Way",
+    "check_usable",
+    "in_one_program",
+    "in_one_program_or_not",
+    "zeros_of",
+]

@@ -1,0 +1,107 @@
+"""Programs that XLA compiles with little effort.
+
+So that the user does not wait longer for the compiler than for the numbers: functions
+of a few calls, and what stands around a loop in C.
+"""
+
+import functools
+from collections.abc import Callable
+from contextlib import nullcontext
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.extend.core
+import jax.numpy as jnp
+
+from ..validation.checks import is_traced
+
+# LLVM's optimization, and XLA's own translation of fused loops (only some releases of
+# jax know the name), take three quarters of the time of compiling.
+_LITTLE_EFFORT = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+}
+
+
+def for_one_call(function: Callable) -> Callable:
+    """A function compiled with little effort, wherever it is not part of a program.
+
+    Inside of ``jit`` it is the function itself. Where ``vmap`` or a derivative is taken
+    outside of it, what they make of it is compiled as one program.
+    """
+    compiled = with_little_effort(functools.partial(eqx.filter_jit, function))
+    plain: Any = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Any:
+        traced, inside = is_traced(arguments), is_traced(jnp.zeros(()))
+        if traced and inside:
+            return function(*arguments)
+        if traced and not _only_mapped(arguments):
+            return plain(*arguments)  # derivatives take no options of the compiler
+        # known arguments in the middle of a trace: outside of it all the same
+        with jax.ensure_compile_time_eval() if inside else nullcontext():
+            return compiled(*arguments)
+
+    return call
+
+
+def around_a_loop(jit: Callable) -> Callable:
+    """``jit()``'s function, with little effort where it is a program of its own.
+
+    For what does little beside a loop in C; ``jit`` takes ``compiler_options``.
+    """
+    plain, quick = jit(), with_little_effort(jit)
+
+    def call(*arguments: Any) -> Any:
+        return (quick if _by_itself(arguments) else plain)(*arguments)
+
+    return call
+
+
+def _by_itself(arguments: Any) -> bool:
+    """Whether a function of these arguments would be a program of its own."""
+    if _trace is not None:  # in a twentieth of the time
+        return _trace() == _NO_TRACE
+    return not is_traced(arguments, jnp.zeros(()))
+
+
+# Not in all releases of jax.
+_trace = getattr(jax.extend.core, "get_opaque_trace_state", None)
+_NO_TRACE = _trace() if _trace else None
+
+
+def with_little_effort(jit: Callable) -> Callable:
+    """``jit(compiler_options=...)``, with those options that this release of jax knows.
+
+    To be called outside of ``jit`` and of derivatives.
+    """
+    compiled: Any = None
+
+    def call(*arguments: Any) -> Any:
+        nonlocal compiled
+        while True:
+            if compiled is None:
+                compiled = jit(compiler_options=dict(_LITTLE_EFFORT))
+            try:
+                return compiled(*arguments)
+            except RuntimeError as error:
+                unknown = [name for name in _LITTLE_EFFORT if name in str(error)]
+                if not unknown:
+                    raise
+                _LITTLE_EFFORT.pop(unknown[0])
+                compiled = None
+
+    return call
+
+
+def _only_mapped(arguments: Any) -> bool:
+    """Whether what is traced is a batch of known numbers."""
+    for x in jax.tree.leaves(arguments):
+        # JAX offers no public name for it; without one, compiling takes longer
+        while type(x).__name__ == "BatchTracer":
+            x = x.val
+        if is_traced(x):
+            return False
+    return True

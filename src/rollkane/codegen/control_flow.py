@@ -1,0 +1,418 @@
+"""A traced program as one in C, with its loops and branches.
+
+Small arrays are single numbers, larger ones lie in memory and are worked off in loops.
+A branch that is not taken costs nothing, a loop has its body once.
+"""
+
+import math
+import operator
+from typing import Any
+
+import numpy as np
+from jax.extend import core
+
+from .array_memory import Arrays, Memory
+from .array_operations import in_memory, in_shape
+from .data_movement import as_objects, numbers_of
+from .indexed_operations import OPERATIONS, WRITING
+from .scalar_program import NotElementwiseError, Walk, program_of
+from .scalars import Number, expression, in_c, type_of
+from .statement_writer import Target, Writer
+
+# numbers of an array that are written one by one
+SMALL = 32
+# numbers of a loop of known length that is written out
+_WRITTEN_OUT = 300
+# equations of a branch that is computed whether it is taken or not
+_CHEAP = 4
+
+_AGAIN = ("remat", "checkpoint", "remat2")
+_WITH_PROGRAMS = ("while", "scan", "cond", *_AGAIN)
+
+Value = Any  # Numbers or Memory
+
+
+class Structured(Walk):
+    """One way through a traced program, which writes it in C.
+
+    Attributes:
+        homes: Where larger arrays are left in the end that a loop makes.
+        writer: What is written.
+        arrays: Its arrays in memory.
+    """
+
+    def __init__(self, dtype: Any):
+        """An empty program of real numbers of this type."""
+        super().__init__(self._operate)
+        self.small = SMALL
+        self.homes: dict[Any, Memory] = {}
+        self.dtype = np.dtype(dtype)
+        self.writer = Writer()
+        self.arrays = Arrays(self.writer)
+
+    def _operate(self, name: str, params: Any, operands: list, dtype: Any) -> Number:
+        if np.issubdtype(dtype, np.floating) and dtype != self.dtype:
+            raise NotElementwiseError(f"numbers of {dtype}")
+        text = expression(name, params, operands, dtype)
+        return self.writer.let(text, type_of(dtype))
+
+    def through(self, jaxpr: Any, closed: Any, values: list[Value]) -> list[Value]:
+        """Outputs of a program inside of the program."""
+        begun = (*map(self.of_its_size, closed), *values)
+        known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
+        last: dict[Any, float] = {}
+        for i, equation in enumerate(jaxpr.eqns):
+            last.update((v, i) for v in equation.invars if not _is_literal(v))
+        last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
+        for i, equation in enumerate(jaxpr.eqns):
+            names = [v for v in equation.invars if not _is_literal(v)]
+            if not self._takes_memory(equation):
+                known.update((v, self.numbers(known[v])) for v in names)
+            free = {v for v in names if _is_free(v, known, names, last, i)}
+            inputs = [
+                _read(v, known) if _is_literal(v) or v in free else _kept(known[v])
+                for v in equation.invars
+            ]
+            results = map(self.of_its_size, self.results(equation, inputs))
+            known.update(zip(equation.outvars, results, strict=True))
+        return [_read(v, known) for v in jaxpr.outvars]
+
+    def of_its_size(self, x: Value) -> Value:
+        """Single numbers only if they are few, else an array in memory."""
+        if isinstance(x, Memory):
+            return x
+        if x.size <= SMALL:
+            return x if x.dtype == object else numbers_of(x)
+        if x.dtype != object:
+            return self.arrays.known(np.asarray(x))
+        return self.arrays.in_memory(x, in_c(x.reshape(-1)[0]).type)
+
+    def numbers(self, x: Value) -> Value:
+        """Single numbers if they are few: read from memory where they are used."""
+        small = isinstance(x, Memory) and x.size <= SMALL
+        return self.arrays.loaded(x) if small else x
+
+    def _takes_memory(self, equation: Any) -> bool:
+        """Whether an equation has its own way with small arrays in memory."""
+        name = equation.primitive.name
+        if name in _WITH_PROGRAMS or name in OPERATIONS:
+            return True
+        if program_of(equation) is not None:
+            return True
+        sizes = [v.aval.size for v in (*equation.invars, *equation.outvars)]
+        return max(sizes) > SMALL
+
+    def results(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        """What one equation gives."""
+        name = equation.primitive.name
+        if name in _AGAIN:
+            return self.through(equation.params["jaxpr"], [], inputs)
+        if name in ("optimization_barrier", "copy_p"):
+            return inputs
+        inner = program_of(equation)
+        if inner is not None:
+            return self._run(inner, inputs)
+        own = OPERATIONS.get(name)
+        if own is not None:
+            return own(self, equation, inputs)
+        if name in _WITH_PROGRAMS:
+            return super().results(equation, inputs)
+        sizes = [x.size for x in inputs] + [v.aval.size for v in equation.outvars]
+        if max(sizes) <= SMALL:
+            return super().results(equation, inputs)
+        return in_memory(self, equation, inputs)
+
+    def controlled(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        """What an equation gives that holds programs."""
+        name = equation.primitive.name
+        if name == "while":
+            return self._looped(equation, inputs)
+        if name == "scan":
+            return self._scanned(equation, inputs)
+        if name == "cond":
+            return self._branched(equation.params["branches"], inputs)
+        raise NotElementwiseError(name)
+
+    # -- loops -----------------------------------------------------------------------
+
+    def _looped(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        params = equation.params
+        more, body = params["cond_jaxpr"], params["body_jaxpr"]
+        first, second = params["cond_nconsts"], params["body_nconsts"]
+        closed = list(map(_kept, inputs[: first + second]))
+        of_cond, of_body = closed[:first], closed[first:]
+        homes = [self.homes.get(v) for v in equation.outvars]
+        carry = _Carry(self, body, second, inputs[first + second :], homes)
+        (asked,) = more.out_avals
+        with self.writer.braces("for (;;)"):
+            (going,) = self._run(more, [*of_cond, *map(_kept, carry.values)])
+            going = self.numbers(going)
+            self.writer.line(f"if (!({self._any(going)})) break;")
+            with self.writer.inner() as block:
+                if asked.shape:  # each member of a batch has its own number of turns
+                    begun = list(map(_kept, carry.values))
+                    found = self._run(body, [*of_body, *begun])
+                    avals = body.out_avals
+                    found = [
+                        self._where(going, a, b, v)
+                        for a, b, v in zip(found, begun, avals, strict=True)
+                    ]
+                else:
+                    found = self._run(body, [*of_body, *carry.values])
+                targets = carry.targets(found)
+            self.writer.put(block, targets)
+        return carry.values
+
+    def _any(self, going: Value) -> str:
+        """Whether one of some truth values is true, in C."""
+        if not isinstance(going, Memory):
+            truth = np.dtype(bool)
+            return in_c(self.folded("or", list(going.reshape(-1)), truth)).text
+        some = self.writer.variable("truth", Number("0", "truth"))
+        with self.arrays.loops(going.shape) as index:
+            self.writer.line(f"{some.text} |= {going.at(index)} != 0;")
+        return some.text
+
+    def _where(self, going: Value, new: Value, old: Value, aval: Any) -> Value:
+        """What a turn leaves, for the members of a batch that it is for."""
+        new, old = self.numbers(new), self.numbers(old)
+        shape, kind = aval.shape, type_of(aval.dtype)
+        axes = (*going.shape, *[1] * (len(shape) - len(going.shape)))
+        if not any(isinstance(x, Memory) for x in (going, new, old)):
+            inputs = [going.reshape(axes), old, new]
+            return self.elementwise("select_n", {}, inputs, shape, aval.dtype)
+        place = self.arrays.in_memory(going, "truth")
+        place = in_shape(self, place, axes).spread(shape)
+        parts = [self.arrays.in_memory(x, kind) for x in (new, old)]
+
+        def chosen(index):
+            a, b = (x.at(index) for x in parts)
+            return Number(f"({place.at(index)} != 0 ? {a} : {b})", "real")
+
+        return self.arrays.filled(self.arrays.new(shape, kind), chosen)
+
+    def _scanned(self, equation: Any, inputs: list[Value]) -> list[Value]:
+        params = equation.params
+        body, length = params["jaxpr"], params["length"]
+        axes = lambda values: [v.ndim for v in values]
+        outer, turned = axes(v.aval for v in equation.outvars), axes(body.out_avals)
+        behind = sum(map(operator.eq, outer, turned))
+        given = axes(v.aval for v in equation.invars)
+        scanned = sum(map(operator.ne, given, axes(body.in_avals)))
+        first = len(inputs) - behind - scanned
+        numbers = length * sum(v.aval.size for e in body.jaxpr.eqns for v in e.outvars)
+        small = max([x.size for x in inputs], default=0) <= SMALL
+        if numbers <= _WRITTEN_OUT and small:
+            return self.repeated(equation, list(map(self.numbers, inputs)))
+        shared, rows = list(map(_kept, inputs[:first])), inputs[first + behind :]
+        kinds = [type_of(v.aval.dtype) for v in equation.invars[first + behind :]]
+        stacks = list(map(self.arrays.in_memory, rows, kinds))
+        begun = inputs[first : first + behind]
+        carry = _Carry(self, body, first, begun, [None] * behind)
+        outs = [
+            self.arrays.new((length, *v.shape), type_of(v.dtype))
+            for v in body.out_avals[behind:]
+        ]
+        turn = self.writer.variable("whole", Number("0L", "whole"))
+        with self.writer.braces(f"for (; {turn.text} < {length}; {turn.text}++)"):
+            at = turn.text
+            if params["reverse"]:
+                at = self.writer.let(f"{length - 1} - {turn.text}", "whole").text
+            with self.writer.inner() as block:
+                taken = [self._row(x, at) for x in stacks]
+                found = self._run(body, [*shared, *carry.values, *taken])
+                for to, x in zip(outs, found[behind:], strict=True):
+                    self._leave(to, at, x)
+                targets = carry.targets(found[:behind])
+            self.writer.put(block, targets)
+        return [*carry.values, *outs]
+
+    def _row(self, x: Memory, at: str) -> Value:
+        """A row of an array, which nothing changes."""
+        shape = x.shape[1:]
+        if math.prod(shape) <= SMALL:
+            found = [self.arrays.number_at(x, (at, *i)) for i in np.ndindex(shape)]
+            return as_objects(found, shape)
+        to = self.arrays.new(shape, x.type)
+        return self.arrays.filled(to, lambda i: Number(x.at((at, *i)), x.type))
+
+    def _leave(self, to: Memory, at: str, x: Value) -> None:
+        """A row of an array that is written row by row."""
+        if isinstance(x, Memory):
+            with self.arrays.loops(x.shape) as index:
+                self.writer.line(f"{to.at((at, *index))} = {x.at(index)};")
+            return
+        for index in np.ndindex(x.shape):
+            self.writer.line(f"{to.at((at, *index))} = {in_c(x[index]).text};")
+
+    # -- branches --------------------------------------------------------------------
+
+    def _branched(self, branches: Any, inputs: list[Value]) -> list[Value]:
+        which, given = self.numbers(inputs[0])[()], inputs[1:]
+        cheap = all(len(branch.jaxpr.eqns) <= _CHEAP for branch in branches)
+        small = all(x.size <= SMALL for x in given)
+        if isinstance(which, np.generic) or (cheap and small):
+            return self.chosen(which, branches, list(map(self.numbers, given)))
+        written = []
+        for branch in branches:
+            with self.writer.inner() as block:
+                found = self._run(branch, given)
+                written.append((block, list(map(self.numbers, found))))
+        avals = branches[0].out_avals
+        left = [
+            self._choice([found[k] for _, found in written], written, aval)
+            for k, aval in enumerate(avals)
+        ]
+        for i, (block, found) in enumerate(written):
+            last = len(written) - 1
+            if which.type == "truth":
+                head = ("else", f"if ({which.text})")[i == 1]
+                head = f"if (!{which.text})" if i == 0 else "else"
+            else:
+                head = "else" if i == last else f"if ({which.text} <= {i})"
+                head = f"else {head}" if 0 < i < last else head
+            targets = []
+            with self.writer.reopened(block):
+                for to, x in zip(left, found, strict=True):
+                    targets += self._settled(to, x)
+            self.writer.line(head)
+            self.writer.put(block, targets)
+        return left
+
+    def _choice(self, found: list[Value], written: list, aval: Any) -> Value:
+        """Where branches leave one of their results."""
+        kind = type_of(aval.dtype)
+        if isinstance(found[0], Memory):
+            if all(x.is_at(found[0]) for x in found):
+                return found[0]._replace(owned=all(x.owned for x in found))
+            return self.arrays.new(aval.shape, kind)
+        named = set().union(*(block.named for block, _ in written))
+        result = np.empty(aval.shape, object)
+        for index in np.ndindex(aval.shape):
+            options = [x[index] for x in found]
+            texts = {in_c(x).text for x in options}
+            same = len(texts) == 1 and not texts & named
+            result[index] = options[0] if same else self.writer.variable(kind)
+        return result
+
+    def _settled(self, to: Value, x: Value) -> list[Target]:
+        """What leaves a result where it belongs."""
+        if isinstance(to, Memory):
+            if not x.is_at(to):
+                self.arrays.copied(x, to)
+            return []
+        pairs = zip(to.reshape(-1), x.reshape(-1), strict=True)
+        return [
+            Target(a.text, in_c(b))
+            for a, b in pairs
+            if isinstance(a, Number) and a.text != in_c(b).text
+        ]
+
+    def _run(self, closed: Any, values: list[Value]) -> list[Value]:
+        """A program inside of the program."""
+        return self.through(closed.jaxpr, closed.consts, values)
+
+
+def _is_literal(v: Any) -> bool:
+    return isinstance(v, core.Literal)
+
+
+def _read(v: Any, known: dict[Any, Value]) -> Value:
+    return numbers_of(np.asarray(v.val, v.aval.dtype)) if _is_literal(v) else known[v]
+
+
+def _kept(x: Value) -> Value:
+    """A value that is read again: nothing changes it in place."""
+    return x._replace(owned=False) if isinstance(x, Memory) else x
+
+
+def _is_free(v: Any, known: dict[Any, Value], names: list, last: dict, i: int) -> bool:
+    """Whether equation i changes a value in place: nobody else reads it, or later."""
+    x = known[v]
+    if not isinstance(x, Memory) or not x.owned or last[v] > i or names.count(v) > 1:
+        return False
+    return not any(
+        isinstance(y, Memory) and y.base == x.base and last.get(other, -1) >= i
+        for other, y in known.items()
+        if other is not v
+    )
+
+
+class _Carry:
+    """What goes from turn to turn of a loop, in variables and arrays of its own.
+
+    Attributes:
+        values: What a turn begins with, and what the loop leaves.
+    """
+
+    def __init__(
+        self,
+        walk: Structured,
+        body: Any,
+        first: int,
+        begun: list[Value],
+        homes: list[Memory | None],
+    ):
+        """Of a loop's body, in which it begins at one of the arguments.
+
+        Arrays that have a home are there from the first.
+        """
+        self.walk = walk
+        jaxpr = body.jaxpr
+        places = jaxpr.invars[first : first + len(begun)]
+        ends = jaxpr.outvars[: len(begun)]
+        self.stays = [a is b for a, b in zip(places, ends, strict=True)]
+        written = {e.invars[0] for e in jaxpr.eqns if e.primitive.name in WRITING}
+        self.in_memory = [v in written or v.aval.size > SMALL for v in places]
+        self.values = [
+            x if stays else self._own(x, v.aval, home, large)
+            for x, stays, v, home, large in zip(
+                begun, self.stays, places, homes, self.in_memory, strict=True
+            )
+        ]
+
+    def _own(self, x: Value, aval: Any, home: Memory | None, large: bool) -> Value:
+        kind = type_of(aval.dtype)
+        if large:
+            x = self.walk.arrays.in_memory(x, kind)
+        x = x if large else self.walk.numbers(x)
+        if isinstance(x, Memory):
+            if home is None and x.owned and x.is_packed:
+                return x
+            return self.walk.arrays.copied(x, home)._replace(owned=True)
+        variables = [self.walk.writer.variable(kind, in_c(v)) for v in x.reshape(-1)]
+        return as_objects(variables, x.shape)
+
+    def targets(self, found: list[Value]) -> list[Target]:
+        """What a turn leaves; the turn is being written."""
+        walk = self.walk
+        bases = {x.base for x in self.values if isinstance(x, Memory)}
+        names = {
+            v.text
+            for x, stays in zip(self.values, self.stays, strict=True)
+            if not isinstance(x, Memory) and not stays
+            for v in x.reshape(-1)
+        }
+        moved, targets = [], []
+        for to, x, stays in zip(self.values, found, self.stays, strict=True):
+            if stays:
+                continue
+            if isinstance(to, Memory):
+                x = walk.arrays.in_memory(x, to.type)
+                if x.is_at(to):
+                    continue
+                if x.base in bases:  # another's, which may be changed before
+                    x = walk.arrays.copied(x)
+                moved.append((to, x))
+                continue
+            numbers = walk.numbers(x).reshape(-1)
+            for a, b in zip(to.reshape(-1), numbers, strict=True):
+                b = in_c(b)
+                if b.text == a.text:
+                    continue
+                if b.text in names:
+                    b = walk.writer.copy(b)
+                targets.append(Target(a.text, b))
+        for to, x in moved:
+            walk.arrays.copied(x, to)
+        return targets

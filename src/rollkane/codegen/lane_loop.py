@@ -1,0 +1,197 @@
+"""The compiled loop over lanes, from Python: queues of motions in, results out."""
+
+import ctypes
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from .compiler import Program, program_of
+from .right_hand_side import lanes_source
+from .runge_kutta_source import attempt_source
+from .tableau import Weights
+
+
+class Stops(NamedTuple):
+    """Where lanes have to stop, in order, the last of them the end.
+
+    Attributes:
+        ends: [s], shape (K,).
+        starts: Where the next step begins: behind a jump [s], shape (K,).
+        slots: Which output it is, shape (K,); -1 for none, a corner of the motion.
+        outputs: How many outputs there are.
+    """
+
+    ends: Float[np.ndarray, " K"]
+    starts: Float[np.ndarray, " K"]
+    slots: Int[np.ndarray, " K"]
+    outputs: int
+
+
+class Queue(NamedTuple):
+    """What is to be integrated.
+
+    Attributes:
+        starts: Packed states at the first time, shape (M, n).
+        atol: Absolute tolerance of each number, shape (M, n).
+        first_steps: [s], shape (M,).
+        own: Numbers of the model that differ from motion to motion, shape (M, p).
+        shared: Numbers that all motions share, shape (q,).
+        time: First time [s].
+        rtol: Relative tolerance of a step [1].
+        dtmin: Least step [s].
+        max_steps: Most steps of a motion, rejected ones too.
+        sense: 1, or -1 where time runs backwards: it runs forwards in the loop.
+    """
+
+    starts: Float[np.ndarray, "M n"]
+    atol: Float[np.ndarray, "M n"]
+    first_steps: Float[np.ndarray, " M"]
+    own: Float[np.ndarray, "M p"]
+    shared: Float[np.ndarray, " q"]
+    time: float
+    rtol: float
+    dtmin: float
+    max_steps: int
+    sense: float = 1.0
+
+
+class Results(NamedTuple):
+    """What came out, by motion.
+
+    Attributes:
+        y: At the outputs, shape (M, T, n); NaN where not reached.
+        code: One of :class:`rollkane.Code`, shape (M,).
+        final_time: [s], shape (M,).
+        final_y: Shape (M, n).
+        steps: Accepted, shape (M,).
+        rejected_steps: Shape (M,).
+        turns: Steps of the whole row of lanes, waited through or not.
+        fault: Of each motion, which field cannot be used, shape (M,); None: not looked
+            at here.
+    """
+
+    y: Float[np.ndarray, "M T n"]
+    code: Int[np.ndarray, " M"]
+    final_time: Float[np.ndarray, " M"]
+    final_y: Float[np.ndarray, "M n"]
+    steps: Int[np.ndarray, " M"]
+    rejected_steps: Int[np.ndarray, " M"]
+    turns: int
+    fault: Int[np.ndarray, " M"] | None = None
+
+
+class LaneLoop:
+    """A right-hand side compiled together with the loop that integrates it.
+
+    Attributes:
+        lanes: How many motions advance together.
+    """
+
+    def __init__(
+        self,
+        derivative: Callable,
+        state: jax.ShapeDtypeStruct,
+        leaves: list[Any],
+        own: list[bool],
+        weights: Weights,
+        lanes: int | None = None,
+        zeros: Sequence[bytes] | None = None,
+        extended: bool = False,
+        watch: Callable | None = None,
+    ):
+        """Write the right-hand side as C and compile it.
+
+        Args:
+            derivative: ``derivative(t, y, *leaves)`` -> rates, shape (n,).
+            state: Shape and type of y.
+            leaves: Shapes and types of the model's leaves for one motion.
+            own: Which of them differ from motion to motion.
+            weights: Of an explicit Runge-Kutta pair.
+            lanes: How many; what a vector of 64 bytes holds by default.
+            zeros: Of each leaf, which numbers are zero for all; None: not known.
+            extended: Whether it computes with C's long doubles, of 64 bits on most
+                processors, and one motion after the other.
+            watch: Vectors that no step may reverse; see ``lanes_source``.
+
+        Raises:
+            NotElementwiseError: the right-hand side is more than arithmetic.
+            NoCompilerError: no C compiler.
+        """
+        self.dtype = np.dtype(np.longdouble if extended else state.dtype)
+        lanes = 1 if extended else lanes
+        lanes = 64 // self.dtype.itemsize if lanes is None else lanes
+        self.lanes = lanes
+        made = lanes_source(derivative, state, leaves, own, zeros, watch)
+        sizes = [
+            math.prod(leaf.shape)
+            for leaf, differs in zip(leaves, own, strict=True)
+            if differs
+        ]
+        head = {
+            "N": state.shape[0],
+            "OWN": sum(sizes),
+            "STAGES": len(weights.rows) + 1,
+            "ORDER": weights.order,
+            "RECORD": 0,
+            **made.head,
+        }
+        parts = "rows.h", made.text, attempt_source(weights), "lane_loop.c"
+        self.source = program_of(self.dtype, lanes, head, parts)
+        self._library = Program.of(self.source).loaded()
+        self._library.integrate.restype = ctypes.c_int64
+        sizes = ctypes.c_float, ctypes.c_double, ctypes.c_longdouble
+        self._real = next(x for x in sizes if ctypes.sizeof(x) == self.dtype.itemsize)
+
+    def run(self, queue: Queue, stops: Stops) -> Results:
+        """Integrate a queue of motions; other threads of Python go on meanwhile.
+
+        Without stops there is no time to go to, and every motion ends where it begins.
+        """
+        count, n = queue.starts.shape
+        results = Results(
+            y=np.full((count, stops.outputs, n), np.nan, self.dtype),
+            code=np.zeros(count, np.int32),
+            final_time=np.full(count, np.nan, self.dtype),
+            final_y=np.full((count, n), np.nan, self.dtype),
+            steps=np.zeros(count, np.int64),
+            rejected_steps=np.zeros(count, np.int64),
+            turns=0,
+        )
+        if not len(stops.ends):
+            return results._replace(
+                final_y=np.array(queue.starts, self.dtype),
+                final_time=np.full(count, queue.time, self.dtype),
+            )
+        reals = [
+            np.ascontiguousarray(x, self.dtype)
+            for x in (
+                *(queue.starts, queue.own, queue.shared, queue.atol),
+                *(queue.first_steps, stops.ends, stops.starts),
+            )
+        ]
+        slots = np.ascontiguousarray(stops.slots, np.int64)
+        asked = _queue_type(self._real)(
+            *(count, stops.outputs, len(slots)),
+            *(x.ctypes.data for x in (*reals, slots)),
+            *(queue.time, queue.rtol, queue.dtmin, queue.sense, queue.max_steps),
+        )
+        room = (ctypes.c_void_p * 6)(*(x.ctypes.data for x in results[:6]))
+        turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(room))
+        return results._replace(turns=turns)
+
+
+@functools.cache
+def _queue_type(real: Any) -> Any:
+    """``Queue`` of lane_loop.c."""
+    fields: list[Any] = [
+        (name, ctypes.c_long) for name in ("count", "outputs", "stops")
+    ]
+    fields += [(f"array_{i}", ctypes.c_void_p) for i in range(8)]
+    fields += [(name, real) for name in ("time", "rtol", "dtmin", "sense")]
+    fields.append(("max_steps", ctypes.c_int64))
+    return type("Queue", (ctypes.Structure,), {"_fields_": fields})

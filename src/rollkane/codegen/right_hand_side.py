@@ -1,0 +1,232 @@
+"""A right-hand side in C: for rows of motions, and with its derivatives."""
+
+import math
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..validation.checks import is_traced
+from .data_movement import as_objects, numbers_of
+from .scalar_program import NotElementwiseError, Program
+from .scalar_source import (
+    Functions,
+    Listing,
+    Result,
+    array,
+    as_functions,
+    in_order,
+    symbols,
+)
+
+# A record's samples are looked up where they lie, whatever they are.
+_MOST_ZEROS = 64
+# Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
+_zeros: dict[int, tuple[weakref.ref, bytes]] = {}
+
+
+def zeros_of(x: Any) -> bytes:
+    """Which numbers of an array are zero, one byte for each.
+
+    None if it is traced, or too large for its zeros to be its structure.
+    """
+    seen = _zeros.get(id(x))
+    if seen is not None and seen[0]() is x:
+        return seen[1]
+    if is_traced(x) or np.size(x) > _MOST_ZEROS:
+        return b""
+    found = (np.asarray(x) == 0).tobytes()
+    if isinstance(x, jax.Array):
+        key = id(x)
+        _zeros[key] = weakref.ref(x, lambda _: _zeros.pop(key, None)), found
+    return found
+
+
+class Source(NamedTuple):
+    """A right-hand side, with or without what belongs to its derivatives.
+
+    Attributes:
+        functions: Of the rates; with those of their changes, if these are in a row.
+        closed: Traced arrays that they close over: their numbers follow those of what
+            is given in ``shared``.
+        back: Of the cotangents; None where they are not asked for.
+        watch: Of the vectors that no step may reverse; None where there are none.
+        watched: How many plane vectors those are.
+    """
+
+    functions: Functions
+    closed: list
+    back: Functions | None = None
+    watch: Functions | None = None
+    watched: int = 0
+
+    @property
+    def head(self) -> dict[str, int]:
+        """Sizes that the loop over lanes has to know."""
+        watch = self.watch
+        return {
+            "NUMBERS": self.functions.numbers,
+            "ROWS": self.functions.rows,
+            "WATCHED": self.watched,
+            "WATCH_NUMBERS": 0 if watch is None else watch.numbers,
+            "WATCH_ROWS": 0 if watch is None else watch.rows,
+        }
+
+    @property
+    def text(self) -> str:
+        """All functions, in C."""
+        parts = self.functions, self.watch
+        return "\n".join(part.text for part in parts if part is not None)
+
+
+def lanes_source(
+    derivative: Callable,
+    state: jax.ShapeDtypeStruct,
+    leaves: list,
+    own: list[bool],
+    zeros: Sequence[bytes] | None = None,
+    watch: Callable | None = None,
+) -> Source:
+    """A right-hand side for a row of motions.
+
+    Args:
+        derivative: ``derivative(t, y, *leaves)`` -> rates, shape (n,).
+        state: Shape and type of y.
+        leaves: Shapes and types of the model's leaves for one motion.
+        own: Which of them differ from motion to motion.
+        zeros: Of each leaf, which numbers are zero for all (:func:`zeros_of`): what
+            they are multiplied by is left out. None: not known of any.
+        watch: ``watch(t, y, *leaves)`` -> numbers of plane vectors that no step may
+            reverse, one vector behind the other; None for none.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers.
+    """
+    zeros = [b""] * len(leaves) if zeros is None else zeros
+    stage = "row t, const row *restrict y, const row *restrict own"
+
+    def written(function, room, ending):
+        time = jax.ShapeDtypeStruct((), state.dtype)
+        program = Program(function, time, state, *leaves)
+        listing = Listing()
+        values, size = _of_lanes(state, leaves, own, zeros)
+        closed, traced = _closed(program, size + room, state.dtype)
+        (numbers,) = program(values, listing.operate, closed)
+        result = Result("d", numbers, row=True)
+        made = as_functions(listing, stage, [result], ending)
+        return made, traced, numbers.size
+
+    made, traced, _ = written(derivative, 0, "")
+    if watch is None:
+        return Source(made, traced)
+    behind = sum(math.prod(x.shape) for x in traced)
+    watched, more, size = written(watch, behind, "_watch")
+    return Source(made, [*traced, *more], watch=watched, watched=size // 2)
+
+
+def _of_lanes(state, leaves, own, zeros) -> tuple[list, int]:
+    """Time, state and leaves as symbols, and how many numbers all lanes share."""
+    values = [symbols(["t"], (), row=True), array("y", state.shape, row=True)]
+    places = {"own": 0, "shared": 0}
+    for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
+        if not np.issubdtype(leaf.dtype, np.floating):
+            raise NotElementwiseError("a model with whole numbers")
+        name = "own" if differs else "shared"
+        # a lane takes the next motion in the middle of the others' runs
+        numbers = array(name, leaf.shape, places[name], row=differs, fixed=not differs)
+        for i, is_zero in enumerate(nothing):
+            if is_zero:
+                numbers.reshape(-1)[i] = leaf.dtype.type(0)
+        values.append(numbers)
+        places[name] += math.prod(leaf.shape)
+    return values, places["shared"]
+
+
+def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
+    """A right-hand side of one motion together with its changes along a row.
+
+    Args:
+        rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
+        state: Shape and type of y.
+        varied: What has changes, apart from y: arrays, or shapes and types.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers.
+    """
+
+    def changes(t, y, varied, y_dot, varied_dot):
+        along = lambda y, *varied: rates(t, y, *varied)
+        return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
+
+    time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
+    program = Program(changes, time, state, like, state, like)
+    given, size = _given(state, like)
+    closed, traced = _closed(program, size, state.dtype)
+    rows = array("dy", state.shape, row=True)
+    moved = in_order("moved", like, state.dtype, row=True)
+    listing = Listing()
+    found = program([*given, rows, *moved], listing.operate, closed)
+    stage = "real t, const real *restrict y, const row *restrict dy"
+    results = [Result("d", found[0]), Result("dd", found[1], row=True)]
+    return Source(as_functions(listing, stage, results), traced)
+
+
+def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
+    """A right-hand side of one motion, and what a cotangent of its rates becomes.
+
+    That of the state, and what it adds to those of what is varied.
+
+    Args:
+        rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
+        state: Shape and type of y.
+        varied: What has cotangents, apart from y: arrays, or shapes and types.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers.
+    """
+
+    def pulled(t, y, varied, asked):
+        along = lambda y, *varied: rates(t, y, *varied)
+        return jax.vjp(along, y, *varied)[1](asked)
+
+    time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
+    there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
+    back = Program(pulled, time, state, like, state)
+    given, size = _given(state, like)
+    closed, traced = _closed(there, size, state.dtype)
+    size += sum(math.prod(x.shape) for x in traced)
+    closed_back, traced_back = _closed(back, size, state.dtype)
+    listing = Listing()
+    found = there(given, listing.operate, closed)
+    stage = "real t, const real *restrict y"
+    functions = as_functions(listing, stage, [Result("d", found[0])])
+    listing = Listing()
+    asked = array("asked", state.shape, row=False)
+    found = back([*given, asked], listing.operate, closed_back)
+    numbers = as_objects([x for part in found[1:] for x in part.reshape(-1)], (-1,))
+    results = [Result("g", found[0]), Result("m", numbers, adds=True)]
+    stage = f"{stage}, const real *restrict asked"
+    changes = as_functions(listing, stage, results, "_back")
+    return Source(functions, [*traced, *traced_back], changes)
+
+
+def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
+
+
+def _given(state: Any, like: list) -> tuple[list, int]:
+    """Time, state and what is varied as symbols, and how many numbers that has."""
+    given = [symbols(["t"], (), row=False), array("y", state.shape, row=False)]
+    shared = in_order("shared", like, state.dtype, row=False)
+    return given + shared, sum(x.size for x in shared)
+
+
+def _closed(program: Program, first: int, dtype: Any) -> tuple[list, list]:
+    """Numbers of what a program closes over, and what of it is traced."""
+    traced = [x for x in program.closed if is_traced(x)]
+    given = iter(in_order("shared", traced, dtype, first, row=False))
+    return [
+        next(given) if is_traced(x) else numbers_of(x) for x in program.closed
+    ], traced

@@ -1,0 +1,221 @@
+"""Runs in the loop over lanes, within XLA's programs: one, or a batch."""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+from jaxtyping import Array, Float
+
+from ..validation.checks import is_traced
+from .ffi_call import XlaCall, in_one
+from .right_hand_side import lanes_source
+from .runge_kutta_source import attempt_source, of_bearable_length
+from .scalar_program import NotElementwiseError
+from .tableau import Weights
+
+
+class Course(NamedTuple):
+    """Where a run is to go, and how; time runs forwards but in ``time``.
+
+    Attributes:
+        time: First time [s].
+        sense: 1, or -1 where time runs backwards.
+        rtol: Relative tolerance of a step [1].
+        atol: Absolute tolerance of each number, shape (n,).
+        dtmin: Least step [s].
+        first_step: [s].
+        ends: Where steps have to end [s], in order, shape (k,); infinite behind the
+            last.
+        begins: Where the next ones begin: behind a jump [s], shape (k,).
+        outputs: Times of outputs after the first [s], shape (T - 1,).
+    """
+
+    time: Array
+    sense: Array
+    rtol: Array
+    atol: Float[Array, " n"]
+    dtmin: Array
+    first_step: Array
+    ends: Float[Array, " k"]
+    begins: Float[Array, " k"]
+    outputs: Float[Array, " T-1"]
+
+
+class Ended(NamedTuple):
+    """What came out.
+
+    Attributes:
+        y: At the outputs after the first, shape (T - 1, n); NaN where not reached.
+        final_y: Shape (n,).
+        final_time: [s].
+        code: One of :class:`rollkane.Code`.
+        steps: Accepted.
+        rejected_steps: The others.
+        record: Where steps began, and the last one ended [s], then states where every
+            so manieth step began; any numbers behind. None where they are not wanted.
+    """
+
+    y: Float[Array, "T-1 n"]
+    final_y: Float[Array, " n"]
+    final_time: Array
+    code: Array
+    steps: Array
+    rejected_steps: Array
+    record: tuple[Array, Array] | None
+
+
+class RunLoop:
+    """A right-hand side compiled together with the loop that integrates it.
+
+    One motion, or under ``jax.vmap`` all of a batch, in lanes, on every processor.
+    """
+
+    def __init__(
+        self,
+        derivative: Callable,
+        state: Any,
+        leaves: list[Array],
+        weights: Weights,
+        zeros: Sequence[bytes] | None = None,
+        between: int = 0,
+        watch: Callable | None = None,
+    ):
+        """Write the right-hand side as C and compile it.
+
+        Args:
+            derivative: ``derivative(t, y, *leaves)`` -> rates, shape (n,).
+            state: y, or its shape and type.
+            leaves: Of the model.
+            weights: Of an explicit Runge-Kutta pair.
+            zeros: Of each leaf, which numbers are zero; see ``lanes_source``.
+            between: How many steps from one recorded state to the next; 0: no record.
+            watch: Vectors that no step may reverse; see ``lanes_source``.
+
+        Raises:
+            NotElementwiseError: the right-hand side is more than arithmetic.
+            NoCompilerError: no C compiler.
+        """
+        state = jax.ShapeDtypeStruct(state.shape, state.dtype)
+        zeros = [b""] * len(leaves) if zeros is None else zeros
+        self._rates, closed = _opened(derivative, state, leaves)
+        self._watch, seen = None, []
+        if watch is not None:
+            self._watch, seen = _opened(watch, state, leaves, len(closed))
+        self._leaves = [*leaves, *closed, *seen]
+        self._zeros = [*zeros, *[b""] * (len(closed) + len(seen))]
+        self._state, self._weights, self._between = state, weights, between
+        self._one = self._compiled([False] * len(self._leaves), 1, "run_call.c")
+
+    def _compiled(self, own: list[bool], lanes: int, caller: str) -> XlaCall:
+        """The loop, for leaves some of which differ from motion to motion."""
+        state, weights = self._state, self._weights
+        like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._leaves]
+        zeros = [
+            b"" if differs else known
+            for known, differs in zip(self._zeros, own, strict=True)
+        ]
+        made = lanes_source(self._rates, state, like, own, zeros, self._watch)
+        record = self._between if lanes == 1 else 0
+        sizes = zip(like, own, strict=True)
+        head = {
+            "N": state.shape[0],
+            "OWN": sum(math.prod(x.shape) for x, differs in sizes if differs),
+            "STAGES": len(weights.rows) + 1,
+            "ORDER": weights.order,
+            "RECORD": int(record > 0),
+            "BETWEEN": record,
+            **made.head,
+        }
+        loop = "lane_loop.c", "queue.h", "threads.h", caller
+        parts = *of_bearable_length((made.text, attempt_source(weights))), *loop
+        return XlaCall(state.dtype, lanes, head, parts)
+
+    def __call__(self, y: Array, course: Course, most: int) -> Ended:
+        """Integrate a start, with this many steps at most, rejected ones too."""
+        dtype = y.dtype
+        numbers = course.time * course.sense, course.sense, course.rtol, course.dtmin
+        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype)])
+        alone = functools.partial(self._alone, most)
+        call = jax.custom_batching.custom_vmap(alone)
+
+        @call.def_vmap
+        def _(size, batched, leaves, start, *course):
+            differs, begun, *others = batched
+            loop = None
+            if not self._between and not any(others):
+                loop = self._of_lanes(tuple(differs))
+            if loop is None:  # recorded, or at times or by tables of their own
+                axes = jax.tree.map(lambda x: 0 if x else None, tuple(batched))
+                found = jax.vmap(alone, in_axes=axes)(leaves, start, *course)
+            else:
+                spread = lambda x, theirs: (
+                    x if theirs else jnp.broadcast_to(x, (size, *x.shape))
+                )
+                every = list(map(spread, start, begun))
+                pairs = list(zip(leaves, differs, strict=True))
+                own = [x.reshape(size, -1) for x, theirs in pairs if theirs]
+                own = jnp.concatenate([jnp.zeros((size, 0), dtype), *own], axis=1)
+                shared = in_one([x for x, theirs in pairs if not theirs], dtype)
+                shapes = [(size, *shape) for shape in self._shapes(course[-1])]
+                found = loop(tuple(shapes), shared, own, *every, *course)
+            return found, [True] * len(found)
+
+        start = y, course.atol, course.first_step
+        stops = course.ends, course.begins, course.outputs
+        y, final_y, told, *record = call(self._leaves, start, numbers, *stops)
+        whole = told[1:].astype(int)
+        steps = (record[0], record[1]) if record else None
+        return Ended(y, final_y, told[0], *whole, record=steps)
+
+    def _shapes(self, outputs: Array) -> list[tuple[int, ...]]:
+        """Of a motion's states at the outputs, its last one, and what is told of it."""
+        n = self._state.shape[0]
+        return [(outputs.shape[-1], n), (n,), (4,)]
+
+    def _alone(self, most: int, leaves, start, numbers, ends, begins, outputs):
+        """One motion; in a batch one after the other."""
+        y, atol, first_step = start
+        shapes = self._shapes(outputs)
+        if self._between:
+            shapes += [(most + 1,), (most // self._between + 1, y.shape[0])]
+        shared = in_one(leaves, y.dtype)
+        given = shared, shared[:0], y, atol, first_step[None]
+        given = *given, numbers, ends, begins, outputs
+        return self._one(tuple(shapes), *given)
+
+    def _of_lanes(self, differs: tuple[bool, ...]) -> XlaCall | None:
+        """The loop for a batch at the same times; None: not where tables differ."""
+        lanes = 64 // np.dtype(self._state.dtype).itemsize
+        try:
+            return self._compiled(list(differs), lanes, "batch_call.c")
+        except NotElementwiseError:
+            return None
+
+
+def _opened(
+    function: Callable, state: Any, leaves: list[Array], before: int = 0
+) -> tuple[Callable, list[Array]]:
+    """A function with the traced arrays that it closes over as arguments.
+
+    Behind the leaves, and behind ``before`` others that it does not look at. In a batch
+    they may differ from motion to motion as well.
+    """
+    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
+    time = jax.ShapeDtypeStruct((), state.dtype)
+    traced = jax.make_jaxpr(function)(time, state, *like)
+    places = [i for i, x in enumerate(traced.consts) if is_traced(x)]
+
+    def opened(t, y, *arguments):
+        consts, first = list(traced.consts), len(leaves) + before
+        for place, x in zip(places, arguments[first:], strict=False):
+            consts[place] = x
+        again = core.jaxpr_as_fun(core.ClosedJaxpr(traced.jaxpr, consts))
+        (found,) = again(t, y, *arguments[: len(leaves)])
+        return found
+
+    return opened, [traced.consts[i] for i in places]

@@ -1,0 +1,122 @@
+"""Steps of Runge-Kutta methods in C, around a right-hand side's functions."""
+
+from fractions import Fraction
+
+from .scalar_program import NotElementwiseError
+from .scalar_source import FIXED, PREPARED, literal
+from .tableau import Weights
+
+# Compiling 7,000 takes 2 s, 15,000 take 8 s and 40,000 take 90 s.
+_MOST_STATEMENTS = 10_000
+_DENOMINATOR = 1_000_000  # those of Dopri5 and Bosh3 are below
+_EACH = "for (int c = 0; c < N; c++)"
+
+
+def of_bearable_length(texts: tuple[str, ...]) -> tuple[str, ...]:
+    """Texts in C for a run that waits for their compiler.
+
+    Raises:
+        NotElementwiseError: it would take longer than XLA's.
+    """
+    if sum(text.count("\n") for text in texts) > _MOST_STATEMENTS:
+        raise NotElementwiseError("too many operations")
+    return texts
+
+
+def attempt_source(weights: Weights) -> str:
+    """Stages and error of a Runge-Kutta pair as one C function, ``attempt``."""
+    lines = [
+        "static void attempt(row t, row t_end, row h, const row *restrict y,",
+        "                    const real *restrict shared, const row *restrict own,",
+        "                    const real *restrict u, const row *restrict v,",
+        "                    row k[][N], row *restrict y_new, row *restrict error) {",
+    ]
+    for i, (row, time) in enumerate(_stages(weights), 1):
+        lines.append(f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', row)});")
+        lines.append(f"rates({time}, y_new, own, shared, NULL, u, v, k[{i}]);")
+    lines.append(f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});")
+    return "\n".join([*lines, "}"])
+
+
+def push_source(weights: Weights) -> str:
+    """A step of a state together with its changes as a C function, ``advance``."""
+    lines = [
+        "static void advance(real t, real t_end, real h, real *restrict y,",
+        f"                    row *restrict dy, {FIXED}, {PREPARED}) {{",
+        "real k[STAGES][N], z[N];",
+        "row dk[STAGES][N], dz[N];",
+        *_advanced(weights, ["", "d"], "moved, u, v"),
+        "}",
+    ]
+    return "\n".join(lines)
+
+
+def pull_source(weights: Weights) -> str:
+    """A step and its way back in C, ``advance`` and ``retreat``.
+
+    With rates ``k_m = f(y + h sum_j a_mj k_j)`` and the end ``y + h sum_m b_m k_m``,
+    the cotangent of a rate is ``h (b_m back + sum_j a_jm g_j)``, where ``g_j`` is that
+    of the stage j behind it; that of y is the sum of all ``g`` and ``back``.
+    """
+    lines = [
+        "static void advance(real t, real t_end, real h, real *restrict y,",
+        "                    const real *restrict shared, const real *restrict u,",
+        "                    real k[STAGES][N]) {",
+        "real z[N];",
+        *_advanced(weights, [""], "NULL, u, NULL"),
+        "}",
+        "static void retreat(real t, real t_end, real h, const real *restrict y,",
+        "                    const real k[STAGES][N], const real *restrict shared,",
+        "                    const real *restrict w, real *restrict back,",
+        "                    real *restrict m) {",
+        "real g[STAGES][N], z[N], a[N];",
+    ]
+    stages = _stages(weights)
+    last = stages[-1][0]
+    places = [((), "t"), *stages[:-1]]
+    for i, (row, time) in reversed(list(enumerate(places))):
+        behind = [(j, places[j][0][i]) for j in range(i + 1, len(places))]
+        terms = [f"back[c] * {_weight(last[i])}"] if last[i] else []
+        terms += [f"g[{j}][c] * {_weight(weight)}" for j, weight in behind if weight]
+        lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
+        place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
+        lines.append(f"{_EACH} z[c] = {place};")
+        lines.append(f"rates_back({time}, z, a, shared, NULL, w, NULL, g[{i}], m);")
+    total = " + ".join(f"g[{i}][c]" for i in range(len(places)))
+    return "\n".join([*lines, f"{_EACH} back[c] += {total};", "}"])
+
+
+def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
+    """Stages and end of a step; of each name x a state xy, rates xk and a room xz."""
+    listed = lambda array: ", ".join(x + array for x in names)
+    each = lambda text: [f"{_EACH} {text.replace('@', x)};" for x in names]
+    lines = [f"rates(t, {listed('y')}, shared, {given}, {listed('k[0]')});"]
+    *before, last = _stages(weights)
+    for i, (row, time) in enumerate(before, 1):
+        lines += each(f"@z[c] = @y[c] + h * ({_weighted('@k', row)})")
+        lines.append(
+            f"rates({time}, {listed('z')}, shared, {given}, {listed(f'k[{i}]')});"
+        )
+    return lines + each(f"@y[c] += h * ({_weighted('@k', last[0])})")
+
+
+def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
+    """Weights and time of each stage but the first, the step's end the last."""
+    time = lambda node: "t_end" if node == 1.0 else f"t + h * {_weight(node)}"
+    return [(row, time(c)) for row, c in zip(weights.rows, weights.nodes, strict=True)]
+
+
+def _weighted(rates: str, weights: tuple[float, ...]) -> str:
+    terms = [f"{rates}[{i}][c] * {_weight(w)}" for i, w in enumerate(weights) if w]
+    return " + ".join(terms)
+
+
+def _weight(value: float) -> str:
+    """A coefficient: as the fraction that it is to the last bit, or as it is.
+
+    So that steps in more than double precision have their method's own order.
+    """
+    fraction = Fraction(value).limit_denominator(_DENOMINATOR)
+    if float(fraction) != value:
+        return literal(value)
+    return f"((real){fraction.numerator} / (real){fraction.denominator})"

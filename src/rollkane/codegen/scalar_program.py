@@ -1,0 +1,421 @@
+"""A function of small arrays as a program of single numbers.
+
+The library is written with vectors of three and small matrices. A kernel that works off
+many motions pays for each of them: slices, stacks, and the zeros of a plane's frame or
+a vertical gravity. Here a traced program is walked once more with every array as a set
+of numbers. Slices and stacks are then bookkeeping, what is multiplied by a written zero
+or one falls away, and only arithmetic is left: 217 operations on numbers instead of 442
+equations on arrays for a disc on a plane.
+"""
+
+import functools
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend import core
+
+from .data_movement import MOVES, Numbers, as_objects, numbers_of
+
+# of one or more numbers gives one number, whatever the shape
+ELEMENTWISE = frozenset(
+    """
+    abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp
+    convert_element_type copy cos cosh div eq exp exp2 expm1 floor ge gt integer_pow
+    is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not
+    one_minus_square or pow rem rsqrt select_n shift_left shift_right_arithmetic sign
+    sin sinh sqrt square stop_gradient sub tan tanh xor
+    """.split()  # noqa: SIM905 -- words read better than a column of strings
+)
+# programs inside a program, by the name of the parameter that holds them
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
+_KNOWN = {
+    "add": operator.add,
+    "add_any": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "neg": operator.neg,
+    "lt": operator.lt,
+    "le": operator.le,
+    "gt": operator.gt,
+    "ge": operator.ge,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "max": np.maximum,
+    "min": np.minimum,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "not": np.invert,
+    "abs": np.abs,
+    "square": np.square,
+    "sqrt": np.sqrt,
+}
+REDUCTIONS = {
+    "reduce_sum": "add",
+    "reduce_prod": "mul",
+    "reduce_max": "max",
+    "reduce_min": "min",
+    "reduce_and": "and",
+    "reduce_or": "or",
+}
+
+# numbers of a loop that is written out: beyond, compilers take too long
+_MOST_NUMBERS = 50_000
+
+Operate = Callable[[str, Any, list, Any], Any]
+
+
+class NotElementwiseError(ValueError):
+    """A program has an operation that is not one on single numbers."""
+
+
+class Program:
+    """What a function does to single numbers.
+
+    Attributes:
+        outputs: Shapes and types of the outputs, in order of leaves.
+        closed: Arrays that it closes over.
+    """
+
+    outputs: list[jax.ShapeDtypeStruct]
+    closed: list[Any]
+
+    def __init__(self, function: Callable, *arguments: Any):
+        """Trace a function.
+
+        Args:
+            function: Of trees of arrays, to a tree of arrays.
+            arguments: Trees of arrays, or of their shapes and types.
+        """
+        self._closed = jax.make_jaxpr(function)(*arguments)
+        self.outputs = [
+            jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
+        ]
+        self.closed = self._closed.consts
+
+    def __call__(
+        self,
+        values: list[Numbers],
+        operate: Operate,
+        closed: list[Numbers] | None = None,
+    ) -> list[Numbers]:
+        """Outputs for the numbers of the arguments' leaves, both in order of leaves.
+
+        Args:
+            values: Arrays of objects: NumPy scalars where known, else whatever
+                ``operate`` understands.
+            operate: ``operate(name, params, operands, dtype)`` -> a value: one of
+                XLA's operations on numbers, of which at least one is not known.
+            closed: Numbers of what it closes over; None: of those arrays.
+
+        Raises:
+            NotElementwiseError: something else than arithmetic and bookkeeping.
+        """
+        if closed is None:
+            closed = [numbers_of(x) for x in self.closed]
+        with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
+            return Walk(operate).through(self._closed.jaxpr, closed, values)
+
+
+def _alone(value: Any) -> Numbers:
+    return as_objects([value], ())
+
+
+def as_array(x: Any) -> Numbers:
+    """A row of numbers, of which NumPy gives the only one without its array."""
+    return x if isinstance(x, np.ndarray) else _alone(x)
+
+
+def program_of(equation: Any) -> Any:
+    """The program that an equation calls, with what it closes over; None: none."""
+    name, params = equation.primitive.name, equation.params
+    if name == "call_hi_primitive":  # from jax 0.11 on, of searchsorted and others
+        written = functools.partial(equation.primitive.to_lojax, **params)
+        shapes = (
+            jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars
+        )
+        return jax.make_jaxpr(written)(*shapes)
+    return params[_CALLS[name]] if name in _CALLS else None
+
+
+class Walk:
+    """One way through a traced program."""
+
+    def __init__(self, operate: Operate):
+        """Of numbers that this operates on."""
+        self.operate = operate
+
+    def through(self, jaxpr: Any, closed: Any, values: list[Numbers]) -> list[Numbers]:
+        """Outputs of a program inside of the program."""
+        known: dict[Any, Numbers] = dict(
+            zip((*jaxpr.constvars, *jaxpr.invars), (*closed, *values), strict=True)
+        )
+
+        def read(v):
+            return numbers_of(v.val) if isinstance(v, core.Literal) else known[v]
+
+        for equation in jaxpr.eqns:
+            results = self.results(equation, [read(v) for v in equation.invars])
+            known.update(zip(equation.outvars, results, strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    def results(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
+        """What one equation gives."""
+        name, params = equation.primitive.name, equation.params
+        inner = program_of(equation)
+        if inner is not None:
+            consts = [numbers_of(x) for x in inner.consts]
+            return self.through(inner.jaxpr, consts, inputs)
+        dtype = equation.outvars[0].aval.dtype if equation.outvars else None
+        if name in ELEMENTWISE:
+            shape = equation.outvars[0].aval.shape
+            return [self.elementwise(name, params, inputs, shape, dtype)]
+        if name in REDUCTIONS:
+            return [self.reduced(REDUCTIONS[name], inputs[0], params["axes"], dtype)]
+        if name == "split":
+            cuts = np.cumsum(params["sizes"])[:-1]
+            return np.split(inputs[0], cuts, params["axis"])
+        if name == "unstack":
+            rows = np.moveaxis(inputs[0], params["axis"], 0)
+            return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
+        if name == "dot_general" and not any(params["dimension_numbers"][1]):
+            a, b = inputs
+            return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]
+        if name in MOVES:
+            return [MOVES[name](inputs, params)]
+        if name == "dynamic_slice":
+            return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
+        return self.controlled(equation, inputs)
+
+    def controlled(self, equation: Any, inputs: list[Numbers]) -> list:
+        """What an equation gives that holds programs, and says which of them to run."""
+        name = equation.primitive.name
+        if name == "scan":
+            return self.repeated(equation, inputs)
+        if name == "cond":
+            branches = equation.params["branches"]
+            return self.chosen(inputs[0][()], branches, inputs[1:])
+        raise NotElementwiseError(name)
+
+    def elementwise(self, name, params, inputs, shape, dtype) -> Numbers:
+        """One operation on the numbers of arrays."""
+        result = np.empty(shape, object)
+        # an axis of length one, and an operand without axes, serve all
+        spread = [np.broadcast_to(x, shape) for x in inputs]
+        for index in np.ndindex(result.shape):
+            operands = [x[index] for x in spread]
+            result[index] = self.operation(name, params, operands, dtype)
+        return result
+
+    def operation(self, name: str, params: Any, operands: list, dtype: Any) -> Any:
+        """One operation on numbers, left out where it does nothing."""
+        known = [isinstance(x, np.generic) for x in operands]
+        if name == "select_n" and known[0]:
+            return operands[1 + int(operands[0])]
+        if name == "integer_pow":
+            return self.power(operands[0], params["y"], dtype)
+        if all(known):
+            return _of_known(name, params, operands, dtype)
+        short = _SHORTCUTS[name](*operands) if name in _SHORTCUTS else None
+        if short is not None:
+            return short
+        return self.operate(name, params, operands, dtype)
+
+    def power(self, x: Any, exponent: int, dtype: Any) -> Any:
+        """A whole power by repeated squares."""
+        one = dtype.type(1)
+        if exponent < 0:
+            below = self.power(x, -exponent, dtype)
+            return self.operation("div", {}, [one, below], dtype)
+        total = one
+        while exponent:
+            if exponent % 2:
+                total = self.operation("mul", {}, [total, x], dtype)
+            exponent //= 2
+            if exponent:
+                x = self.operation("mul", {}, [x, x], dtype)
+        return total
+
+    def sliced(self, numbers, starts: list[Numbers], sizes, dtype) -> Numbers:
+        """A part of an array, which begins at an index that may be unknown."""
+        unknown = []
+        for axis, (start, size) in enumerate(zip(starts, sizes, strict=True)):
+            first, last = start[()], numbers.shape[axis] - size
+            if last == 0:
+                continue
+            if isinstance(first, np.generic):
+                begin = int(np.clip(first, 0, last))
+                numbers = np.take(numbers, range(begin, begin + size), axis)
+            else:
+                unknown.append((axis, first, last))
+        if not unknown:
+            return numbers
+        if len(unknown) > 1:
+            raise NotElementwiseError("a lookup by two indices")
+        ((axis, first, last),) = unknown
+        result = np.empty(sizes, object)
+        for index in np.ndindex(result.shape):
+            row = np.moveaxis(numbers, axis, -1)[*index[:axis], *index[axis + 1 :]]
+            candidates = row[index[axis] : index[axis] + last + 1]
+            result[index] = self.operate("lookup", {}, [first, candidates], dtype)
+        return result
+
+    def chosen(self, which: Any, branches: Any, inputs: list[Numbers]) -> list[Numbers]:
+        """The results of one of some branches: of all of them, one is taken."""
+        last = len(branches) - 1
+
+        def results(branch):
+            consts = [numbers_of(x) for x in branch.consts]
+            return self.through(branch.jaxpr, consts, inputs)
+
+        if isinstance(which, np.generic):
+            return results(branches[int(np.clip(which, 0, last))])
+        found = results(branches[last])
+        for i in reversed(range(last)):
+            here = self.operation("le", {}, [which, np.int32(i)], np.dtype(bool))
+            found = [
+                self.elementwise("select_n", {}, [_alone(here), a, b], b.shape, x.dtype)
+                for a, b, x in zip(
+                    found, results(branches[i]), branches[i].out_avals, strict=True
+                )
+            ]
+        return found
+
+    def repeated(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
+        """A loop of known length, turn by turn."""
+        params = equation.params
+        inner, length = params["jaxpr"], params["length"]
+        sizes = (v.aval.size for e in inner.jaxpr.eqns for v in e.outvars)
+        if length * sum(sizes) > _MOST_NUMBERS:
+            raise NotElementwiseError("a long scan")
+        consts = [numbers_of(x) for x in inner.consts]
+        # how many of each releases tell in ways of their own: rows have an axis more
+        axes = lambda values: [v.ndim for v in values]
+        outer, turned = axes(v.aval for v in equation.outvars), axes(inner.out_avals)
+        behind = sum(map(operator.eq, outer, turned))
+        scanned = sum(map(operator.ne, axes(inputs), axes(inner.in_avals)))
+        first = len(inputs) - behind - scanned
+        shared, carry = inputs[:first], inputs[first : first + behind]
+        rows = inputs[first + behind :]
+        turns = range(length)[:: -1 if params["reverse"] else 1]
+        kept: list[list[Numbers]] = []
+        for i in turns:
+            given = [*shared, *carry, *(x[i] for x in rows)]
+            found = self.through(inner.jaxpr, consts, [as_array(x) for x in given])
+            carry = found[:behind]
+            kept.append(found[behind:])
+        kept = kept[:: -1 if params["reverse"] else 1]
+        shapes = [x.shape for x in inner.out_avals[behind:]]
+        columns = zip(*kept, strict=True) if kept else ([] for _ in shapes)
+        stacked = [
+            as_objects([v for x in column for v in x.reshape(-1)], (length, *shape))
+            for column, shape in zip(columns, shapes, strict=True)
+        ]
+        return [*carry, *stacked]
+
+    def folded(self, name: str, numbers: list, dtype: Any) -> Any:
+        """The sum, the largest and so on of some numbers."""
+        total = numbers[0]
+        for x in numbers[1:]:
+            total = self.operation(name, {}, [total, x], dtype)
+        return total
+
+    def reduced(self, name: str, numbers: Numbers, axes: Any, dtype: Any) -> Numbers:
+        """The sums and so on along some axes."""
+        kept = [i for i in range(numbers.ndim) if i not in axes]
+        rows = numbers.transpose([*kept, *axes])
+        result = np.empty(rows.shape[: len(kept)], object)
+        for index in np.ndindex(result.shape):
+            result[index] = self.folded(name, list(rows[index].reshape(-1)), dtype)
+        return result
+
+    def contracted(self, a: Numbers, b: Numbers, axes: Any, dtype: Any) -> Numbers:
+        """Sums of products over pairs of axes, or products alone over none."""
+        a, b = (_in_rows(x, along) for x, along in zip((a, b), axes, strict=True))
+        rows, columns = a.shape[:-1], b.shape[:-1]
+        result = np.empty(rows + columns, object)
+        for i in np.ndindex(rows):
+            for j in np.ndindex(columns):
+                pairs = zip(a[i], b[j], strict=True)
+                products = [
+                    self.operation("mul", {}, list(pair), dtype) for pair in pairs
+                ]
+                result[i + j] = self.folded("add", products, dtype)
+        return result
+
+
+def _in_rows(x: Numbers, axes: Any) -> Numbers:
+    """Numbers with some axes, in their order, joined into a last one."""
+    kept = [i for i in range(x.ndim) if i not in axes]
+    length = math.prod(x.shape[i] for i in axes)
+    x = x.transpose([*kept, *axes])
+    return x.reshape([*x.shape[: len(kept)], length])
+
+
+def _of_known(name: str, params: Any, operands: list, dtype: Any) -> Any:
+    if name in _KNOWN:
+        return dtype.type(_KNOWN[name](*operands))
+    if name in ("copy", "convert_element_type", "stop_gradient"):
+        return dtype.type(operands[0])
+    # rare: whatever XLA makes of it
+    primitive = getattr(jax.lax, name + "_p")
+    with jax.ensure_compile_time_eval():
+        return dtype.type(primitive.bind(*map(jax.numpy.asarray, operands), **params))
+
+
+def _is(x: Any, value: float) -> bool:
+    return isinstance(x, np.generic) and bool(x == value)
+
+
+def _times(a, b):
+    for x, y in ((a, b), (b, a)):
+        if _is(x, 0):
+            return x
+        if _is(x, 1):
+            return y
+    return None
+
+
+def _plus(a, b):
+    return b if _is(a, 0) else a if _is(b, 0) else None
+
+
+def _both(a, b):
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, np.bool_):
+            return y if x else x
+    return None
+
+
+def _either(a, b):
+    for x, y in ((a, b), (b, a)):
+        if isinstance(x, np.bool_):
+            return x if x else y
+    return None
+
+
+# zero times something is zero, even where the other factor is not finite
+_SHORTCUTS: dict[str, Callable] = {
+    "mul": _times,
+    "add": _plus,
+    "add_any": _plus,
+    "sub": lambda a, b: a if _is(b, 0) else None,
+    "div": lambda a, b: a if _is(a, 0) or _is(b, 1) else None,
+    "and": _both,
+    "or": _either,
+    "select_n": lambda which, *options: (
+        options[0] if all(x is options[0] for x in options) else None
+    ),
+    "copy": lambda x: x,
+    "stop_gradient": lambda x: x,
+}

@@ -1,0 +1,311 @@
+"""A program of single numbers as C functions.
+
+A number is one for all lanes, a C scalar, or a row of one value for each lane, a vector
+of the compiler's. What is the same at all stages of all steps is computed once a call.
+"""
+
+import functools
+import math
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .data_movement import Numbers, as_objects
+from .scalar_program import NotElementwiseError
+
+# how XLA's operations are written: between two numbers, or as functions of rows.h;
+# the ending of their names says whether of a row
+ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
+COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+_LOGICAL = {"and": "&", "or": "|"}
+FORMULAS = {
+    "neg": "-{0}",
+    "square": "{0} * {0}",
+    "one_minus_square": "((real)1 + {0}) * ((real)1 - {0})",
+    "rsqrt": "(real)1 / sqrt{1}({0})",
+    "logistic": "(real)1 / ((real)1 + exp{1}(-{0}))",
+    "is_finite": "({0} - {0}) == ({0} - {0})",
+}
+FUNCTIONS = frozenset(
+    """
+    abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh exp exp2 expm1 floor
+    log log1p max min pow rem sign sin sinh sqrt tan tanh
+    """.split()  # noqa: SIM905 -- words read better than a column of strings
+)
+# of whole numbers up to 2^53 (2^24 in single precision) a real one is exact
+_OF_WHOLE = frozenset(
+    "add sub neg max min clamp select_n convert_element_type".split()  # noqa: SIM905
+)
+_PLACE = re.compile(r"shared\[(\d+)\]")  # of a number that lies in memory
+
+
+class Symbol(NamedTuple):
+    """A number of the C program.
+
+    Attributes:
+        text: How it is written.
+        row: Whether every lane has its own.
+        truth: Whether it is true or false.
+        fixed: Whether it is the same at all stages.
+        whole: Whether it is a whole number; C keeps it as a real one.
+    """
+
+    text: str
+    row: bool
+    truth: bool = False
+    fixed: bool = False
+    whole: bool = False
+
+    @property
+    def kind(self) -> str:
+        """Its type in C."""
+        if self.row:
+            return "mask" if self.truth else "row"
+        return "int" if self.truth else "real"
+
+
+class Listing:
+    """C statements as they come, those of a call apart from those of a stage.
+
+    Attributes:
+        before: Symbols that all stages share, each with its expression.
+        stage: Symbols that are computed at every stage.
+        tables: Known numbers that are looked up, and the names of such arrays in C.
+    """
+
+    def __init__(self):
+        """An empty program."""
+        self.before: list[tuple[Symbol, str]] = []
+        self.stage: list[tuple[Symbol, str]] = []
+        self.tables: dict[str, str] = {}
+        self._written: dict[tuple[str, bool], Symbol] = {}
+
+    def operate(self, name: str, params: Any, operands: list, dtype: Any) -> Symbol:
+        """Write one operation; see :class:`rollkane.codegen.scalar_program.Program`."""
+        truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
+        if name == "lookup":
+            return self._looked_up(*operands)
+        if whole and name not in _OF_WHOLE:
+            raise NotElementwiseError(f"{name} of whole numbers")
+        known = [x for x in operands if isinstance(x, Symbol)]
+        row = any(x.row for x in known)
+        fixed = all(x.fixed for x in known)
+        text = _expression(name, params, operands, row)
+        return self._symbol(text, Symbol("", row, truth, fixed, whole))
+
+    def _symbol(self, text: str, like: Symbol) -> Symbol:
+        """What an expression gives: written once."""
+        if (text, like.whole) in self._written:  # computed before
+            return self._written[text, like.whole]
+        statements = self.before if like.fixed else self.stage
+        name = f"{'b' if like.fixed else 's'}{len(statements)}"
+        symbol = like._replace(text=name)
+        statements.append((symbol, text))
+        self._written[text, like.whole] = symbol
+        return symbol
+
+    def _looked_up(self, index: Symbol, numbers: Numbers) -> Symbol:
+        """The number at an index, of numbers that are known or lie in an array in C."""
+        if all(isinstance(x, np.floating) for x in numbers):
+            values = ", ".join(literal(float(x)) for x in numbers)
+            table = self.tables.setdefault(values, f"table{len(self.tables)}")
+            stride = 1
+        else:
+            table, stride = _in_memory(numbers)
+        ending = "_row" if index.row else "_one"
+        text = f"lookup{ending}({table}, {stride}, {len(numbers)}, {index.text})"
+        return self._symbol(text, Symbol("", index.row, fixed=index.fixed))
+
+
+def _in_memory(numbers: Numbers) -> tuple[str, int]:
+    """Where numbers lie in an array in C, and how far apart."""
+    texts = [x.text if isinstance(x, Symbol) else "" for x in numbers]
+    places = [place for place in map(_place, texts) if place is not None]
+    stride = places[1] - places[0] if len(places) > 1 else 1
+    first = places[0] if places else 0
+    if stride < 1 or places != [first + stride * i for i in range(len(texts))]:
+        raise NotElementwiseError("a lookup among numbers that are computed")
+    return f"shared + {first}", stride
+
+
+@functools.lru_cache(2**16)  # tables are looked up in several times
+def _place(text: str) -> int | None:
+    """Which of the shared numbers a text in C reads."""
+    found = _PLACE.fullmatch(text)
+    return None if found is None else int(found[1])
+
+
+def _expression(name: str, params: Any, operands: list, row: bool) -> str:
+    ending = "_row" if row else "_one"
+    if name in ARITHMETIC or name in COMPARED:
+        a, b = (_written(x, row and not isinstance(x, Symbol)) for x in operands)
+        return f"{a} {(ARITHMETIC | COMPARED)[name]} {b}"
+    if name == "convert_element_type":
+        return _converted(operands[0], params["new_dtype"], row)
+    texts = [_written(x, row) for x in operands]
+    if name in _LOGICAL:
+        return f" {_LOGICAL[name]} ".join(texts)
+    if name == "not":
+        return f"not_row({texts[0]})" if row else f"!{texts[0]}"
+    if name in FORMULAS:
+        return FORMULAS[name].format(texts[0], ending)
+    if name == "select_n" and len(texts) == 3:
+        which, no, yes = texts
+        return f"choose{ending}({which}, {yes}, {no})"
+    if name == "clamp":
+        least, x, most = texts
+        return f"max{ending}({least}, min{ending}({x}, {most}))"
+    if name in FUNCTIONS:
+        return f"{name}{ending}({', '.join(texts)})"
+    raise NotElementwiseError(name)
+
+
+def _converted(x: Symbol, dtype: Any, row: bool) -> str:
+    if x.truth:
+        one, zero = (_written(np.float64(value), row) for value in (1.0, 0.0))
+        return f"choose{'_row' if row else '_one'}({x.text}, {one}, {zero})"
+    if dtype == np.bool_:
+        return f"{x.text} != (real)0"
+    if np.issubdtype(dtype, np.integer) and not x.whole:
+        return f"trunc{'_row' if row else '_one'}({x.text})"
+    # real to real: a program has one precision
+    return x.text
+
+
+def _written(x: Any, as_row: bool) -> str:
+    """A symbol or a known number; as a row where it has to be one."""
+    if isinstance(x, Symbol):
+        text, spread, truth = x.text, as_row and not x.row, x.truth
+    elif isinstance(x, np.bool_):
+        text, spread, truth = str(int(x)), as_row, True
+    elif isinstance(x, (np.floating, np.integer)):
+        text, spread, truth = literal(float(x)), as_row, False
+    else:
+        raise NotElementwiseError(f"a number of {type(x)}")
+    if not spread:
+        return text
+    return f"mask_of({text})" if truth else f"splat({text})"
+
+
+def literal(value: float) -> str:
+    """A number in C, to the last bit."""
+    if np.isfinite(value):
+        return f"(real){value.hex()}"
+    if np.isnan(value):
+        return "(real)NAN"
+    return "(real)INFINITY" if value > 0 else "-(real)INFINITY"
+
+
+def in_order(
+    name: str, arrays: list, dtype: Any, first: int = 0, *, row: bool
+) -> list[Numbers]:
+    """Numbers of fixed arrays that lie one behind the other, from the first on."""
+    found = []
+    for x in arrays:
+        if x.dtype != dtype:
+            raise NotElementwiseError(f"numbers of {x.dtype}")
+        found.append(array(name, x.shape, first, row=row, fixed=True))
+        first += math.prod(x.shape)
+    return found
+
+
+def array(
+    name: str, shape: tuple, first: int = 0, *, row: bool, fixed: bool = False
+) -> Numbers:
+    """Symbols of an array's numbers, from the first on, as a part of an array in C."""
+    texts = [f"{name}[{first + i}]" for i in range(math.prod(shape))]
+    return symbols(texts, shape, row=row, fixed=fixed)
+
+
+def symbols(
+    texts: list[str], shape: tuple, *, row: bool, fixed: bool = False
+) -> Numbers:
+    """Symbols of these texts, in order."""
+    return as_objects([Symbol(text, row, fixed=fixed) for text in texts], shape)
+
+
+class Functions(NamedTuple):
+    """``prepare``, called once, and ``rates``, called at every stage, in C.
+
+    Attributes:
+        text: Of both.
+        numbers: How many numbers ``prepare`` leaves for ``rates``.
+        rows: How many rows it leaves.
+    """
+
+    text: str
+    numbers: int
+    rows: int
+
+
+class Result(NamedTuple):
+    """What a function leaves in an array.
+
+    Attributes:
+        name: Of the array.
+        numbers: What is left.
+        row: Whether every lane has its own.
+        adds: Whether they are added to what is there.
+    """
+
+    name: str
+    numbers: Any
+    row: bool = False
+    adds: bool = False
+
+    @property
+    def parameter(self) -> str:
+        """The array, in C."""
+        return f"{'row' if self.row else 'real'} *restrict {self.name}"
+
+    def statements(self) -> Iterator[str]:
+        """What leaves them there, in C."""
+        for i, x in enumerate(self.numbers):
+            known = not isinstance(x, Symbol)
+            if self.adds and known and x == 0:
+                continue
+            text = _written(x, self.row and (known or not x.row))
+            yield f"{self.name}[{i}] {'+' if self.adds else ''}= {text};"
+
+
+FIXED = "const real *restrict shared, const row *restrict moved"
+PREPARED = "const real *restrict u, const row *restrict v"
+
+
+def as_functions(
+    listing: Listing, stage: str, results: list[Result], ending: str = ""
+) -> Functions:
+    """The two functions; what is fixed goes from one to the other in two arrays."""
+    body = _statements(listing.stage)
+    for result in results:
+        body += result.statements()
+    words = set("".join(c if c.isalnum() else " " for c in "\n".join(body)).split())
+    used = [symbol for symbol, _ in listing.before if symbol.text in words]
+    numbers = [x for x in used if not x.row]
+    rows = [x for x in used if x.row]
+    handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
+    handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
+    tables = [
+        f"static const real {name}[] = {{{values}}};"
+        for values, name in listing.tables.items()
+    ]
+    lines = [
+        f"static void prepare{ending}({FIXED}, real *restrict u, row *restrict v) {{",
+        *tables,
+        *_statements(listing.before),
+        *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
+        "}",
+        f"static void rates{ending}({stage}, {FIXED}, {PREPARED},",
+        f"    {', '.join(result.parameter for result in results)}) {{",
+        *tables,
+        *(f"const {x.kind} {x.text} = ({x.kind}){place};" for place, _, x in handed),
+        *body,
+        "}",
+    ]
+    return Functions("\n".join(lines), len(numbers), len(rows))
+
+
+def _statements(listed: list[tuple[Symbol, str]]) -> list[str]:
+    return [f"const {symbol.kind} {symbol.text} = {text};" for symbol, text in listed]

@@ -1,0 +1,92 @@
+"""Coefficients of diffrax's explicit Runge-Kutta methods, for a plain loop."""
+
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..validation.checks import FieldError
+
+# those whose steps are their tableau and nothing else
+PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
+
+
+def is_plain(solver: Any) -> bool:
+    """Whether a step of a diffrax solver is its tableau and nothing else."""
+    return type(solver) in PLAIN
+
+
+class Weights(NamedTuple):
+    """An explicit method whose last stage is the end of its step, as plain numbers.
+
+    Attributes:
+        rows: Weights of the rates known before each stage but the first.
+        nodes: Share of the step at each of these stages.
+        error: Weights of all rates in the error estimate.
+        order: That the error estimate counts on.
+    """
+
+    rows: tuple[tuple[float, ...], ...]
+    nodes: tuple[float, ...]
+    error: tuple[float, ...]
+    order: int
+
+
+class Tableau(NamedTuple):
+    """An explicit method whose last stage is the end of its step.
+
+    Attributes:
+        rows: Weights of the rates known before each stage, zeros behind, shape (s, s).
+        nodes: Share of the step at each stage, shape (s,).
+        error: Weights of the rates in the error estimate, shape (s,).
+    """
+
+    rows: Float[Array, "s s"]
+    nodes: Float[Array, " s"]
+    error: Float[Array, " s"]
+
+
+def weights_of(solver: Any, purpose: str) -> Weights:
+    """Coefficients of a diffrax solver as numbers.
+
+    Args:
+        solver: diffrax solver.
+        purpose: What it is wanted for, for the error.
+
+    Raises:
+        FieldError: not an explicit Runge-Kutta method with an error estimate whose
+            last stage is its end.
+    """
+    known: Any = getattr(solver, "tableau", None)
+    explicit = isinstance(known, dfx.ButcherTableau) and not known.implicit
+    if not explicit or not known.ssal or known.b_error is None:
+        raise FieldError(
+            "simulate.solver",
+            type(solver).__name__,
+            f"cannot make the steps of {purpose}",
+            "use diffrax.Tsit5(), Dopri5(), Dopri8() or Bosh3()",
+        )
+    numbers = lambda row: tuple(float(x) for x in row)
+    return Weights(
+        rows=tuple(numbers(row) for row in known.a_lower),
+        nodes=numbers(known.c),
+        error=numbers(known.b_error),
+        order=solver.order(None),
+    )
+
+
+def tableau_of(solver: Any, dtype) -> Tableau:
+    """Coefficients of a diffrax solver as arrays, for a run with modes.
+
+    Raises:
+        FieldError: see :func:`weights_of`.
+    """
+    weights = weights_of(solver, "a run with modes")
+    count = len(weights.rows) + 1
+    rows = np.zeros((count, count))
+    for i, row in enumerate(weights.rows, start=1):
+        rows[i, :i] = row
+    nodes = np.concatenate([[0.0], weights.nodes])
+    return Tableau(*(jnp.asarray(x, dtype) for x in (rows, nodes, weights.error)))

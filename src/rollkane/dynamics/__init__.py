@@ -1,0 +1,1 @@
+"""Bodies, loads, laws of the contact, and the equations of a rolling body (Kane)."""

@@ -1,0 +1,262 @@
+"""The least distance of body and base anywhere: second contacts, bodies that overlap.
+
+Local conditions at a contact say nothing of the other end of a long body. Here each
+surface is sampled as a whole, and the lowest places are searched further; features much
+narrower than the distance of the samples (about a fifteenth of a body's size) may be
+missed. Two convex surfaces touch at one place only: for them there is nothing to do.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import matvec, matvec_transposed, norm
+from ..geometry.surfaces import AbstractSurface, Parametric, Revolution
+from ..kinematics.contact import body_to_base
+from ..kinematics.coordinates import FlyingState
+from ..validation.codes import Code, is_stuck
+from .rolling import contact_of
+from .scene import Scene
+
+_LOWEST = 8  # local minima of the samples that are searched further
+_NEAREST = 4  # of those of a body in flight, which Newton's method improves
+_NEAR = 8  # neighbours of a sample
+_ROUNDS, _SHRINK = 12, 0.4  # to 2e-5 of the samples' distance: 1e-10 of its gap
+_AT_ONCE = 64  # samples evaluated together: memory is theirs
+
+
+class Clearance(NamedTuple):
+    """The least distance of two surfaces.
+
+    Attributes:
+        gap: [m]; less than zero where the body is in the base.
+        place: Where [m], base axes, shape (3,).
+        size: Of the body, from its origin [m].
+    """
+
+    gap: Float[Array, ""]
+    place: Float[Array, "3"]
+    size: Float[Array, ""]
+
+
+def may_touch_twice(scene: Scene) -> bool:
+    """Whether a second contact is possible, and could be told."""
+    body, base = scene.body.surface, scene.base.surface
+    if (body.is_convex and base.is_convex) or not body.is_bounded:
+        return False
+    return _has_inside(body) or _has_inside(base)
+
+
+def _has_inside(surface: AbstractSurface) -> bool:
+    like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
+    return jax.eval_shape(surface.signed_distance, like) is not None
+
+
+def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
+    """The least distance of body and base anywhere.
+
+    Args:
+        scene: One of which :func:`may_touch_twice` is true.
+        t: Time [s].
+        state: In contact or in flight.
+    """
+    body = scene.body.surface
+    found = []
+    for surface, level, on_base, searched in _sides(scene, t, state):
+        gap, place = _lowest(surface, level, searched)
+        found.append((gap, on_base(place)))
+        faces = surface.face_points() if surface is body else None
+        if faces is not None:
+            gap, place = _least_of(level, faces)
+            found.append((gap, on_base(place)))
+    gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
+    least = jnp.argmin(gaps)
+    return Clearance(gaps[least], places[least], reach_of(body, gaps.dtype))
+
+
+def reach_of(body: AbstractSurface, dtype: Any) -> Float[Array, ""]:
+    """How far a body reaches from its origin [m], by samples of its surface.
+
+    Args:
+        body: Its surface.
+        dtype: Of the length.
+    """
+    points = body_points(body, dtype)
+    return jnp.max(jax.vmap(norm)(jnp.where(jnp.isfinite(points), points, 0.0)))
+
+
+def lowest_places(
+    scene: Scene, t: Float[Array, ""], state: Any
+) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
+    """Where samples of the surfaces are nearest to each other, not searched further.
+
+    Args:
+        scene: One of which :func:`may_touch_twice` is true.
+        t: Time [s].
+        state: In contact or in flight.
+
+    Returns:
+        Gaps [m], infinite where there are fewer places; the places [m], base axes.
+    """
+    found = [
+        (gaps, jax.vmap(on_base)(jax.vmap(surface.point)(u)))
+        for surface, level, on_base, searched in _sides(scene, t, state)
+        for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
+    ]
+    gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))
+    return gaps, places
+
+
+def _sides(scene: Scene, t, state):
+    """Surfaces to look along: with the other's level, and a way to base axes."""
+    body, base = scene.body.surface, scene.base.surface
+    to_base, origin = _pose(scene, t, state)
+    placed = lambda x: origin + matvec(to_base, x)
+    back = lambda x: matvec_transposed(to_base, x - origin)
+    sides = []
+    if _has_inside(base):
+        level = lambda x: base.signed_distance(placed(x))
+        sides.append((body, level, placed, _is_searched(base)))
+    if _has_inside(body) and not base.is_flat:
+        level = lambda x: body.signed_distance(back(x))
+        sides.append((base, level, lambda x: x, _is_searched(body)))
+    return sides
+
+
+def _is_searched(surface: AbstractSurface) -> bool:
+    return isinstance(surface, (Parametric, Revolution))
+
+
+def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:
+    """Whether the body is nowhere in its base, but for a rounding of its size."""
+    found = clearance(scene, t, state)
+    return ~(found.gap < -_touch(found))
+
+
+def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) -> Array:
+    """The code of a run, SECOND_CONTACT where it got stuck because of one."""
+    stuck = is_stuck(code)
+    found = _clearance_at_end(scene, t, state)
+    return jnp.where(
+        stuck & (found.gap < -0.5 * _touch(found)), Code.SECOND_CONTACT, code
+    )
+
+
+@jax.jit
+def _clearance_at_end(scene: Scene, t, state) -> Clearance:
+    return clearance(scene, t, state)
+
+
+def _touch(found: Clearance) -> Array:
+    """How deep a second contact may be before it counts [m]."""
+    double = found.gap.dtype == jnp.float64
+    return (1e-9 if double else 1e-4) * found.size
+
+
+def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:
+    """Points over the whole surface of a body [m], body axes; NaN where there is none.
+
+    Args:
+        body: Its surface.
+        dtype: Of the points.
+    """
+    samples = jnp.asarray(body.samples(), dtype)
+    return jax.vmap(body.point)(samples)
+
+
+def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
+    """Rotation from body to base axes, and the body origin on base axes [m]."""
+    if not isinstance(state, FlyingState):
+        contact = contact_of(scene, t, state)
+        to_base = contact.to_base
+        return to_base, contact.base_point - matvec(to_base, contact.body_point)
+    motion = scene.base.motion
+    moving = None if motion is None else motion.at(t)
+    place = state.position
+    if moving is not None:
+        start = 0.0 if moving.position is None else moving.position
+        place = moving.to_base(place - start)
+    return body_to_base(rotation_matrix(state.orientation), moving), place
+
+
+def _candidates(surface: AbstractSurface, level: Callable, count: int, searched: bool):
+    """Levels and coordinates of the samples with the lowest levels around them.
+
+    Args:
+        surface: Whose samples.
+        level: Of a point [m].
+        count: How many, at most.
+        searched: Whether the level takes a search over samples of its own.
+
+    Returns:
+        Levels, infinite where there are fewer; coordinates; the level at coordinates.
+    """
+    samples = jnp.asarray(surface.samples(), jnp.result_type(float))
+
+    def value(u):
+        return _known(level(surface.point(u)))
+
+    each = functools.partial(jax.lax.map, batch_size=_AT_ONCE)
+    values = each(value, samples) if searched else jax.vmap(value)(samples)
+    near = _neighbours(surface.lattice())
+    local = values <= jnp.min(values[near], axis=1)
+    lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
+    return -lowest, samples[chosen], value
+
+
+def _lowest(surface: AbstractSurface, level: Callable, searched: bool):
+    """The least level of a surface's points, and the point that has it.
+
+    Args:
+        surface: Whose points.
+        level: Of a point [m].
+        searched: Whether the level takes a search over samples of its own.
+    """
+    _, chosen, value = _candidates(surface, level, _LOWEST, searched)
+    dtype = chosen.dtype
+    spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
+    ticks = np.linspace(-1.0, 1.0, 5)
+    star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
+
+    def lower(u):
+        def narrow(carry, _):
+            u, reach = carry
+            moved = lambda x: surface.neighbour(u, x)
+            tried = jax.vmap(moved)(jnp.asarray(star, dtype) * (reach * spacing)[None])
+            best = jnp.argmin(jax.vmap(value)(tried))
+            return (tried[best], reach * _SHRINK), None
+
+        start = u, jnp.ones((), dtype)
+        (u, _), _ = jax.lax.scan(narrow, start, length=_ROUNDS)
+        return value(u), surface.point(u)
+
+    gaps, places = jax.vmap(lower)(chosen)
+    best = jnp.argmin(gaps)
+    return gaps[best], places[best]
+
+
+def _least_of(level: Callable, points: Float[Array, "n 3"]):
+    """The least level of some points, and the point that has it."""
+    gaps = jax.vmap(lambda x: _known(level(x)))(points)
+    best = jnp.argmin(gaps)
+    return gaps[best], points[best]
+
+
+def _known(level: Array) -> Array:
+    """A level; infinite where it is not known."""
+    return jnp.where(jnp.isnan(level), jnp.inf, level)
+
+
+def _neighbours(lattice: np.ndarray) -> np.ndarray:
+    """For each sample the numbers of the samples next to it, shape (n, k)."""
+    near = []
+    for part in np.array_split(lattice, 8):
+        squares = ((part[:, None] - lattice[None]) ** 2).sum(axis=-1)
+        near.append(np.argpartition(squares, _NEAR + 1, axis=1)[:, : _NEAR + 1])
+    return np.concatenate(near)

@@ -1,0 +1,76 @@
+"""Consistent states: those that obey the constraints of their contact.
+
+A state has more numbers than the constrained motion. The rates keep the constraints, so
+that a motion obeys them if its start does: it is made consistent once, there.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import components, dot, matvec, norm, solve_spd
+from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..kinematics.voronets import AnyState, VoronetsState
+from .mass_matrix import assemble
+from .rolling import contact_of
+from .scene import RubberRolling, Scene
+
+
+def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
+    """The state without what its contact does not allow.
+
+    Where the body carries its contact point, it is turned by the smallest rotation that
+    brings its normal onto the base's; of a slip the part along the normal is left out,
+    and under ``RubberRolling`` the spin about the normal, relative to the base.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: Any; one in flight or in Voronets coordinates has no spare numbers.
+    """
+    if isinstance(state, (FlyingState, VoronetsState)):
+        return state
+    slides = isinstance(state, SlidingState)
+    rubber = isinstance(scene.contact, RubberRolling) and not slides
+    if not (scene.carries_point or rubber or slides):
+        return state
+    contact = contact_of(scene, t, state)
+    if scene.carries_point:
+        body = scene.body.surface
+        aligned = contact.orientation
+        assert aligned is not None
+        aligned = aligned * (norm(state.orientation) / norm(aligned))
+        parts = aligned, body.settled(state.contact_on_body)
+        state = eqx.tree_at(lambda s: (s.orientation, s.contact_on_body), state, parts)
+    if rubber:
+        turned = contact.angular_velocity
+        state = eqx.tree_at(lambda s: s.angular_velocity, state, turned)
+    if slides:
+        assert contact.slip is not None
+        slip = matvec(contact.rotation, contact.slip)
+        state = eqx.tree_at(lambda s: s.slip, state, slip)
+    return state
+
+
+def spin_stopped(scene: Scene, t: Float[Array, ""], state: State) -> State:
+    """The state behind an impulsive torque about the normal that ends the spin.
+
+    As where a body that slips grips on rubber: the impulse ``lambda N`` changes all
+    velocities by ``A^-1 N lambda``, with the mass matrix A, so that
+    ``(w - w_c) . N = 0``. Kinetic energy relative to the base is lost, never gained.
+
+    Args:
+        scene: With ``RubberRolling``.
+        t: Time [s].
+        state: Rolling, with any spin about the normal.
+    """
+    contact = contact_of(scene, t, state)
+    spin = contact.spare_spin
+    assert spin is not None
+    rows = assemble(scene, t, state, contact).rows
+    normal = components(contact.normal)
+    others = [jnp.zeros_like(normal[0])] * (len(rows) - 3)
+    change = jnp.stack(solve_spd(rows, [*normal, *others]))
+    change = change * (-spin / dot(contact.normal, change[:3]))
+    parts = state.angular_velocity + change[:3], state.alpha_dot + change[3:]
+    return eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), state, parts)

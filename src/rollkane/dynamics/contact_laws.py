@@ -1,0 +1,355 @@
+"""Accelerations under a contact law: rolling, rubber rolling, slipping, resistance.
+
+Rolling alone solves one system. Every further law adds a multiplier: the spin torque of
+rubber, and the normal force where something is proportional to it. Accelerations are
+affine in the multipliers, and so are the conditions that determine them.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry.rotations import tangent_pair
+from ..geometry.small_linear import components, cross, dot, matvec_transposed, solve_spd
+from ..kinematics.contact import Contact
+from ..validation.checks import FieldError
+from .directed_friction import Balance, DirectedFriction, first_way
+from .mass_matrix import System
+from .scene import Flying, RubberRolling, Scene, Slipping
+from .supported import total
+
+
+class Solution(NamedTuple):
+    """Accelerations at one instant, vectors on BODY axes.
+
+    Attributes:
+        angular_acceleration: ``w'`` [rad/s^2].
+        alpha_ddot: [unit of alpha / s^2], shape (n,).
+        slip_acceleration: Part of the acceleration of the body's point at the contact
+            that the forces determine, along the surface [m/s^2]; None: it rolls.
+        moment: Of the contact on the body [N m]; None: none.
+        margin: What the normal force is divided by [1]; where it is not positive no
+            normal force fits (Painleve); None: nothing is proportional to it.
+        turn: Slip times the rate at which friction turns it [m/s^2]; None: not asked.
+    """
+
+    angular_acceleration: Float[Array, "3"]
+    alpha_ddot: Float[Array, " n"]
+    slip_acceleration: Float[Array, "3"] | None = None
+    moment: Float[Array, "3"] | None = None
+    margin: Float[Array, ""] | None = None
+    turn: Float[Array, ""] | None = None
+
+
+class Momentum(NamedTuple):
+    """Rate of the momentum, ``K + w' x S + columns alpha''``, on body axes.
+
+    Attributes:
+        mass: Of everything [kg].
+        first_moment: ``S = sum m s`` about the contact point [kg m].
+        known: K less the loads' forces [N]: what the contact force is without w',
+            alpha'' and slip acceleration.
+        columns: ``sum m dr/dalpha`` for each coordinate [kg m per unit].
+    """
+
+    mass: Float[Array, ""]
+    first_moment: Float[Array, "3"]
+    known: Float[Array, "3"]
+    columns: list[Float[Array, "3"]]
+
+    def force(self, solution: Solution) -> Float[Array, "3"]:
+        """Contact force ``Rc = dP/dt - F`` [N] (theory, section 5)."""
+        value = self.known + cross(solution.angular_acceleration, self.first_moment)
+        for column, rate in zip(
+            self.columns, components(solution.alpha_ddot), strict=True
+        ):
+            value = value + rate * column
+        if solution.slip_acceleration is not None:
+            value = value + self.mass * solution.slip_acceleration
+        return value
+
+
+def momentum_rate(scene: Scene, contact: Contact, system: System) -> Momentum:
+    """The rate of the momentum, as far as it is known, and what multiplies the rest.
+
+    Source: theory, section 5.
+    """
+    w, c, mass = contact.angular_velocity, system.arm, scene.body.mass
+    first = mass * c
+    known = mass * (cross(w, cross(w, c)) + system.proper)
+    if system.force is not None:
+        known = known - system.force
+    columns = []
+    for part, s, drive, _ in system.masses:
+        m = part.mass[None]
+        first = first + total(m * s)
+        known = known + total(drive)
+        columns += [total(m * u) for u in part.partials]
+        mass = mass + jnp.sum(part.mass)
+    return Momentum(mass, first, known, columns)
+
+
+def accelerations(
+    scene: Scene, t: Float[Array, ""], contact: Contact, system: System
+) -> Solution:
+    """Accelerations of a scene under its contact law.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        contact: Its contact.
+        system: Its mass matrix and right-hand side.
+
+    Raises:
+        FieldError: a law that the contact's coordinates do not have.
+
+    Source: theory, sections 4.1 (rolling), 8.2 (rubber), 8.3 (resistance), 8.4
+    (slipping).
+    """
+    law = scene.contact
+    if isinstance(law, (RubberRolling, Slipping)) and contact.normal_rate is None:
+        problem = "does not belong to a state that rolls without slipping"
+        remedy = "use Rolling(), or a state of this scene in pole-free coordinates"
+        raise FieldError("Scene.contact", law, problem, remedy)
+    if isinstance(law, Flying):
+        return _flying(scene, contact, system)
+    resisting = _resistance(scene, contact)
+    if isinstance(law, Slipping):
+        return _slipping(scene, contact, system, resisting)
+    pushes: list[_Push] = []
+    if isinstance(law, RubberRolling):
+        pushes.append(_against_spin(contact, len(system.rows)))
+    if resisting is not None:
+        push = _by_normal_force(scene, contact, system, resisting, [])
+        pushes.append(push._replace(one_sided=law.one_sided))
+    if not pushes:
+        return _parted(solve_spd(system.rows, system.rhs))
+    x, multipliers, margin = _solve(system.rows, system.rhs, pushes)
+    torques = [
+        z * jnp.stack(push.force[:3])
+        for z, push in zip(multipliers, pushes, strict=True)
+    ]
+    return _parted(x)._replace(moment=sum(torques[1:], torques[0]), margin=margin)
+
+
+class _Push(NamedTuple):
+    """A force of unknown size z, and the condition ``row . x + own z = value``.
+
+    ``force`` and ``row`` have one entry for each acceleration; ``signed`` says that z
+    is a normal force, whose friction acts with its size, but for ``one_sided``.
+    """
+
+    force: list[Array]
+    row: list[Array]
+    own: float
+    value: Array
+    signed: bool
+    one_sided: bool = False
+
+
+def _against_spin(contact: Contact, count: int) -> _Push:
+    """Spin torque about the normal: ``d/dt (w - w_c) . N = 0``."""
+    N, Om = contact.normal, contact.relative_angular_velocity
+    assert contact.normal_rate is not None
+    value = -dot(Om, contact.normal_rate)
+    base = contact.base
+    if base is not None and base.angular_acceleration is not None:
+        turned = matvec_transposed(contact.to_base, base.angular_acceleration)
+        value = value + dot(N, turned)
+    column = [*components(N), *[jnp.zeros_like(value)] * (count - 3)]
+    return _Push(column, column, 0.0, value, False)
+
+
+def _by_normal_force(
+    scene: Scene, contact: Contact, system: System, moment, along: list
+) -> _Push:
+    """What is proportional to the normal force ``N = -Rc . N``, for one newton."""
+    P = momentum_rate(scene, contact, system)
+    N = contact.normal
+    zero = jnp.zeros_like(P.mass)
+    torque = [zero] * 3 if moment is None else components(moment)
+    row = [*components(cross(P.first_moment, N)), *(dot(u, N) for u in P.columns)]
+    force = [*torque, *([zero] * len(P.columns)), *along]
+    return _Push(force, row + [zero] * len(along), 1.0, -dot(P.known, N), True)
+
+
+def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solution:
+    """Two more accelerations: of the point at the contact, along the surface."""
+    P = momentum_rate(scene, contact, system)
+    slip = contact.slip
+    assert isinstance(scene.contact, Slipping)
+    assert slip is not None
+    friction = scene.contact.friction
+    zero = jnp.zeros_like(P.mass)
+    pair = tangent_pair(contact.normal)
+    push = -P.known
+    by_itself = friction.force(slip)
+    if by_itself is not None:
+        push = push + by_itself
+    rows, rhs = _with_point(P, system, pair, push)
+    ratio = friction.ratio(slip)
+    margin = moment = turn = None
+    if ratio is None and resisting is None:
+        x = solve_spd(rows, rhs)
+    else:
+        along = [zero, zero] if ratio is None else [dot(ratio, e) for e in pair]
+        push = _by_normal_force(scene, contact, system, resisting, along)
+        push = push._replace(one_sided=friction.one_sided)
+        if isinstance(friction, DirectedFriction):
+            push, turn = _as_it_begins(friction, rows, rhs, push, pair)
+        x, (N,), margin = _solve(rows, rhs, [push])
+        moment = None if resisting is None else N * resisting
+        turn = None if turn is None else turn * jnp.abs(N)
+    slid = x[-2] * pair[0] + x[-1] * pair[1]
+    solution = _parted(x[:-2])._replace(slip_acceleration=slid, moment=moment)
+    return solution._replace(margin=margin, turn=turn)
+
+
+def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
+    """The push of a slip that may only begin, and the slip's turn for one newton.
+
+    With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
+    ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (7.5)).
+    """
+    mu, force = friction.coefficient, push.force
+    bare, rest = solve_spd(rows, rhs), [*force[:-2], *[jnp.zeros_like(mu)] * 2]
+    answer = solve_spd(rows, rest)
+    unit = lambda k: [jnp.asarray(float(i == k), mu.dtype) for i in range(len(rows))]
+    columns = [solve_spd(rows, unit(len(rows) - k)) for k in (2, 1)]
+    end = lambda x: jnp.stack(x[-2:])
+    value = push.value - _dot(push.row, bare)
+    sense = 1.0 if push.one_sided else jnp.where(value < 0.0, -1.0, 1.0)
+    b, A = end(bare), jnp.stack([end(x) for x in columns], axis=1)
+    r = sense * jnp.stack([_dot(push.row, x) for x in columns])
+    own = push.own + sense * _dot(push.row, answer)
+    w = sense * value
+    M = mu * (w * A + b[:, None] * r[None])
+    balance = Balance(M, own * b + w * end(answer))
+    known = jnp.stack([dot(friction.direction, e) for e in pair])
+    along = jax.lax.cond(
+        friction.begins,
+        lambda: -mu * first_way(balance, known),
+        lambda: jnp.stack(force[-2:]),
+    )
+    picked = [*force[:-2], *components(along)]
+    return push._replace(force=picked), mu * (A[0, 0] + A[1, 1])
+
+
+def _with_point(P: Momentum, system: System, directions, push):
+    """The system with accelerations of the reference point along directions."""
+    rows, rhs = [list(row) for row in system.rows], list(system.rhs)
+    zero = jnp.zeros_like(P.mass)
+    for m, e in enumerate(directions):
+        across = components(cross(P.first_moment, e))
+        own = [dot(u, e) for u in P.columns]
+        rows.append([*across, *own, *([zero] * m), P.mass])
+        rhs.append(dot(push, e))
+    return rows, rhs
+
+
+def _flying(scene: Scene, contact: Contact, system: System) -> Solution:
+    """Three more accelerations: of the body origin, under the loads alone."""
+    P = momentum_rate(scene, contact, system)
+    axes = list(jnp.eye(3, dtype=P.mass.dtype))
+    x = solve_spd(*_with_point(P, system, axes, -P.known))
+    return _parted(x[:-3])._replace(slip_acceleration=jnp.stack(x[-3:]))
+
+
+class Response(NamedTuple):
+    """What one newton second at the contact point changes, vectors on BODY axes.
+
+    Attributes:
+        velocity: Of the body's point at the contact [m/s], shape (3, 3), a column for
+            each direction of the impulse.
+        others: Of the angular velocity [rad/s] and of alpha', shape (3 + n, 3).
+    """
+
+    velocity: Float[Array, "3 3"]
+    others: Float[Array, "m 3"]
+
+
+def impulse_response(scene: Scene, contact: Contact, system: System) -> Response:
+    """Changes of all velocities by an impulse of the base on the body."""
+    P = momentum_rate(scene, contact, system)
+    axes = list(jnp.eye(3, dtype=P.mass.dtype))
+    rows, _ = _with_point(P, system, axes, P.known)
+    zero, one = jnp.zeros_like(P.mass), jnp.ones_like(P.mass)
+    count = len(rows)
+    columns = [
+        jnp.stack(solve_spd(rows, [one if i == k else zero for i in range(count)]))
+        for k in range(count - 3, count)
+    ]
+    whole = jnp.stack(columns, axis=1)
+    return Response(whole[-3:], whole[:-3])
+
+
+def _parted(x: list[Array]) -> Solution:
+    turn, own = jnp.stack(x[:3]), x[3:]
+    return Solution(turn, jnp.stack(own) if own else jnp.zeros(0, turn.dtype))
+
+
+def _resistance(scene: Scene, contact: Contact) -> Float[Array, "3"] | None:
+    """Moment of all dry resistance for one newton of normal force [m], body axes."""
+    moments = [load.moment_by_normal_force(contact) for load in scene.loads]
+    moments = [moment for moment in moments if moment is not None]
+    return sum(moments[1:], moments[0]) if moments else None
+
+
+def _solve(rows, rhs, pushes: list[_Push]):
+    """Accelerations, sizes of the pushes, and the Painleve margin.
+
+    The contact is bilateral: where it pulls, friction still acts against the motion,
+    with the size of the normal force.
+    """
+    bare = solve_spd(rows, rhs)
+    answers = [solve_spd(rows, push.force) for push in pushes]
+
+    def sized(sense):
+        """Sizes, what the normal force is a quotient of, and its divisor."""
+        signs = [sense if push.signed else 1.0 for push in pushes]
+        matrix = [
+            [
+                s * _dot(push.row, answer) + (push.own if i == k else 0.0)
+                for k, (s, answer) in enumerate(zip(signs, answers, strict=True))
+            ]
+            for i, push in enumerate(pushes)
+        ]
+        left = [push.value - _dot(push.row, bare) for push in pushes]
+        if len(pushes) == 1:
+            return [left[0] / matrix[0][0]], left[0], matrix[0][0]
+        # the first is the spin torque: eliminated
+        (a, b), (c, d) = matrix
+        top, margin = left[1] - c * left[0] / a, d - c * b / a
+        N = top / margin
+        return [(left[0] - b * N) / a, N], top, margin
+
+    sizes, top, margin = sized(1.0)
+    with_size = [push.signed and not push.one_sided for push in pushes]
+    if not any(push.signed for push in pushes):
+        margin = None
+    else:
+        other = sizes
+        pulls = jnp.asarray(False)
+        if any(with_size):
+            other, _, other_margin = sized(-1.0)
+            pulls = top < 0.0
+            margin = jnp.where(pulls, other_margin, margin)
+        sizes = [
+            jnp.where(margin > 0.0, jnp.where(pulls, b, a), jnp.nan)
+            for a, b in zip(sizes, other, strict=True)
+        ]
+    effective = [
+        jnp.abs(z) if by_size else z
+        for z, by_size in zip(sizes, with_size, strict=True)
+    ]
+    x = list(bare)
+    for z, answer in zip(effective, answers, strict=True):
+        x = [a + z * b for a, b in zip(x, answer, strict=True)]
+    return x, effective, margin
+
+
+def _dot(a: list[Array], b: list[Array]) -> Array:
+    products = [x * y for x, y in zip(a, b, strict=True)]
+    return sum(products[1:], products[0])

@@ -1,0 +1,141 @@
+"""A user's functions of coordinates alpha: wrapped, counted, and differentiated."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..validation.checks import FieldError, is_traced
+from ..validation.user_functions import UserFunction, accepts, check_output
+
+# Coordinates of one part are counted up to here when the user does not say how many.
+_MOST_COORDINATES = 8
+
+
+class Made(eqx.Module):
+    """Functions of one carried part, ready for use.
+
+    Attributes:
+        functions: Name to wrapped function, None for one that was not given.
+        count: Number of coordinates n.
+    """
+
+    functions: dict[str, Any]
+    count: int = eqx.field(static=True)
+
+
+def functions_of(owner: str, given: dict, shapes: dict, parameters, count) -> Made:
+    """The functions of a part, wrapped, with the number of coordinates that fits.
+
+    Args:
+        owner: Name used in errors, such as ``PointMasses``.
+        given: Name to function: ``position``, ``force``, ``potential``, and for a body
+            ``rotation``; None for one that is not given.
+        shapes: Shapes of ``position`` and ``rotation``.
+        parameters: Tree of numbers that all of them may take last.
+        count: Number of coordinates, or None: the number that fits all functions, and
+            if several do, as many as the places depend on.
+
+    Raises:
+        FieldError: a function that fits no number, or a number that cannot be found.
+    """
+    if count is not None:
+        if isinstance(count, bool) or not isinstance(count, int) or count < 0:
+            field = f"{owner}.coordinates"
+            raise FieldError(
+                field, count, "must be a whole number", "give 0, 1, 2, ..."
+            )
+        return _wrapped(owner, given, shapes, parameters, count)
+    fitting, refusal = [], None
+    for n in range(_MOST_COORDINATES + 1):
+        try:
+            fitting.append(_wrapped(owner, given, shapes, parameters, n))
+        except FieldError as error:
+            refusal = refusal or error if n == 0 else error if n == 1 else refusal
+    if not fitting:
+        assert refusal is not None
+        raise refusal
+    if len(fitting) == 1:
+        return fitting[0]
+    # indexing alpha[1] of too short an array is no error in JAX: see what is used
+    used = _used_coordinates(owner, fitting[-1])
+    return next((made for made in fitting if made.count >= used), fitting[-1])
+
+
+def _wrapped(owner: str, given: dict, shapes: dict, parameters, n: int) -> Made:
+    shapes = shapes | {"force": (n,), "potential": ()}
+    functions = {}
+    for name, function in given.items():
+        field = f"{owner}.{name}"
+        if function is None:
+            functions[name] = None
+            continue
+        size = 1 + 2 * n if name == "force" else n
+        takes = parameters is not None and accepts(function, 4)
+        if name == "force" and callable(function):
+            function = _Force(function, n, takes)
+        functions[name] = UserFunction(field, function, size, parameters, of_array=True)
+        check_output(field, functions[name], jnp.zeros(size), shapes[name])
+    return Made(functions, n)
+
+
+class _Force(eqx.Module):
+    """``force(t, alpha, alpha_dot)`` as a function of one array (t, alpha, alpha')."""
+
+    force: Any
+    n: int = eqx.field(static=True)
+    takes_parameters: bool = eqx.field(static=True)
+
+    def __call__(self, arguments, parameters=None):
+        """Generalized forces."""
+        alpha, alpha_dot = arguments[1 : 1 + self.n], arguments[1 + self.n :]
+        extra = (parameters,) if self.takes_parameters else ()
+        result = self.force(arguments[0], alpha, alpha_dot, *extra)
+        if isinstance(result, (tuple, list)):
+            result = jnp.stack([jnp.asarray(x) for x in result])
+        return result
+
+
+def _used_coordinates(owner: str, made: Made) -> int:
+    """Number of coordinates that the places of a part depend on."""
+    used = 0
+    # two odd places: a derivative that vanishes at one of them by chance
+    for seed in (0.37, -1.13):
+        alpha = seed + 0.21 * jnp.arange(made.count, dtype=jnp.result_type(float))
+        for name in ("position", "rotation"):
+            function = made.functions.get(name)
+            if function is None:
+                continue
+            slopes = jax.jacfwd(function)(alpha)
+            if is_traced(slopes):
+                raise FieldError(
+                    f"{owner}.coordinates",
+                    None,
+                    "cannot be found while the functions depend on traced numbers",
+                    "say how many coordinates there are: coordinates=1",
+                )
+            moved = np.abs(np.asarray(slopes)).reshape(-1, made.count).max(axis=0) > 0
+            used = max(used, int(np.max(np.flatnonzero(moved), initial=-1)) + 1)
+    return used
+
+
+def moved(
+    function: UserFunction, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+) -> tuple[Array, Array, Array, tuple[Array, ...]]:
+    """Value, rate, second rate at alpha'' = 0, and partial derivatives."""
+    if not alpha.shape[0]:
+        value = function(alpha)
+        return value, jnp.zeros_like(value), jnp.zeros_like(value), ()
+
+    def rate(alpha):
+        return jax.jvp(function, (alpha,), (alpha_dot,))
+
+    (value, velocity), (_, bias) = jax.jvp(rate, (alpha,), (alpha_dot,))
+    partials = tuple(
+        jax.jvp(function, (alpha,), (unit,))[1]
+        for unit in jnp.eye(alpha.shape[0], dtype=alpha.dtype)
+    )
+    return value, velocity, bias, partials

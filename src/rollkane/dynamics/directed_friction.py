@@ -1,0 +1,125 @@
+"""Coulomb friction of a slip that may vanish: as it begins, while it lasts, as it ends.
+
+A slip U = r s that begins does not turn: friction would turn it at a rate mu N / r. So
+its friction acts along the direction at which the slip's rate is along the slip, until
+it is fast enough to be followed. Equations: docs/theory.md, (7.4) and (7.5).
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import dot, matvec
+from .friction import AbstractFriction
+
+# [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
+SMALLEST_SLIP = 1e-9
+# [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 and 10 rad/s of turn its
+# direction is off by ONSET 10 / 3 = 3e-5, and its velocity by 3e-10 m/s
+ONSET = 1e-5
+# The search for that direction: at most so far at once [rad], until so near that one
+# step more is rounding (its error is squared), at most so often: half a turn and ten
+_FARTHEST, _CLOSE, _TURNS = 0.3, 1e-7, 40
+
+
+class Balance(NamedTuple):
+    """What makes a slip's rate: ``w U' = B - M s`` for friction along -s [1].
+
+    On two directions along the surface; w > 0.
+    """
+
+    M: Float[Array, "2 2"]
+    B: Float[Array, "2"]
+
+
+class DirectedFriction(AbstractFriction):
+    """Coulomb friction that passes smoothly through the end of a slip.
+
+    ``-mu V / |V|, V = U + eps^3 d / (eps^2 + U^2)`` with the direction d that the slip
+    had: at U = 0 the friction is that of the last moment, and the sign of ``U . d``
+    says when. Of a faster slip d is none of friction's business: it falls with U^3.
+
+    Attributes:
+        coefficient: mu [1].
+        direction: d, BODY axes [1], shape (3,); of length 1/2: the slip only begins.
+        lifts: Whether the run ends the contact where it would pull.
+    """
+
+    coefficient: Array
+    direction: Float[Array, "3"]
+    lifts: bool = eqx.field(static=True)
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether it goes with the sign of the normal force."""
+        return self.lifts
+
+    @property
+    def begins(self) -> Array:
+        """Whether the slip only begins."""
+        return begins(self.direction)
+
+    def ratio(self, slip):
+        """``-mu V / |V|`` [1]."""
+        return -self.coefficient * last_way(slip, self.direction)
+
+
+def begins(direction: Float[Array, "3"]) -> Array:
+    """Whether a slip only begins, by the direction that a run keeps of it.
+
+    It is of length 1/2 then, and where the slip began to look for its own.
+    """
+    return ~(dot(direction, direction) > 0.5)
+
+
+def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
+    """Direction of a slip that may vanish [1]; ``direction``: what it was."""
+    fast = dot(slip, slip) / SMALLEST_SLIP**2
+    moved = slip + SMALLEST_SLIP / (1.0 + fast) * direction
+    squared = dot(moved, moved)  # zero in a lane that does not slip
+    return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
+
+
+def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Direction s of a slip that begins: its rate is along itself, (7.5).
+
+    Friction turns the slip at a rate of the sign of ``s' . (B - M s)``, s' = N x s,
+    and so the search does from where the slip began, by Newton where that leads the
+    same way: to the direction that the slip itself would find, of several. Derivatives
+    are those of its last step. NaN where none is found: a slip that would turn for
+    ever.
+    """
+    fixed = jax.lax.stop_gradient(balance)
+
+    def turned(carry):
+        s, _, count = carry
+        turn, slope = _turn(fixed, s)
+        steepest = jnp.where(slope == 0.0, 1.0, jnp.abs(slope))
+        angle = jnp.clip(turn / steepest, -_FARTHEST, _FARTHEST)
+        return _by_angle(s, angle), jnp.abs(angle), count + 1
+
+    begun = start / jnp.sqrt(dot(start, start))
+    carry = jax.lax.stop_gradient(begun), jnp.ones_like(start[0]), jnp.asarray(0)
+    going = lambda carry: (carry[1] > _CLOSE) & (carry[2] < _TURNS)
+    s, angle, _ = jax.lax.while_loop(going, turned, carry)
+    turn, slope = _turn(balance, s)
+    s = _by_angle(s, -turn / jnp.where(slope == 0.0, 1.0, slope))
+    # a slip stays where it does not turn, and turns back to: elsewhere it cannot begin
+    found = (angle <= _CLOSE) & (slope < 0.0)
+    return jnp.where(found, s, jnp.nan)
+
+
+def _turn(balance: Balance, s) -> tuple[Array, Array]:
+    """``s' . (B - M s)``, and its derivative by the angle of s."""
+    across = jnp.stack([-s[1], s[0]])
+    rate = balance.B - matvec(balance.M, s)
+    return dot(across, rate), -dot(s, rate) - dot(across, matvec(balance.M, across))
+
+
+def _by_angle(s, angle):
+    """A direction, turned."""
+    across = jnp.stack([-s[1], s[0]])
+    return s * jnp.cos(angle) + across * jnp.sin(angle)

@@ -1,0 +1,306 @@
+"""Bodies apart: the gap between body and base, and how it closes."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..codegen.compile_effort import for_one_call
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import (
+    cross,
+    dot,
+    matmul,
+    matvec,
+    matvec_transposed,
+    norm,
+    solve_2x2,
+)
+from ..kinematics.contact import body_to_base
+from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
+from ..validation.checks import real, refuse
+from .clearance import lowest_places, may_touch_twice, reach_of
+from .rolling import contact_of
+from .scene import Scene
+
+# Newton steps to the nearest points, most: their error squares each time
+_NEWTON = 16
+# Of the size of what is compared, where the search has ended: it ends no closer where
+# rounding does not let it
+_CLOSE = 64
+
+
+def nearest(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], FlyingState]:
+    """Gap between the surfaces [m], and the state with their nearest points.
+
+    Args:
+        scene: What flies over what.
+        t: Time [s].
+        state: Its contact coordinates are where the search begins.
+
+    The gap is the distance along the base's normal, less than zero in the base; NaN
+    where the search did not converge. Where there are several nearest points, the ones
+    next to the start are followed.
+    """
+    fixed = jax.lax.stop_gradient((scene, t, state))
+    begun = fixed[2]
+    size = 1.0 + norm(begun.position)
+    close = _CLOSE * jnp.finfo(size.dtype).eps * size
+
+    def going(carry):
+        count, _, left = carry
+        return (count < _NEWTON) & (left > close)
+
+    def improve(carry):
+        count, state, _ = carry
+        return count + 1, *_improved(*fixed[:2], state)
+
+    carry = jnp.asarray(0), begun, jnp.full_like(close, jnp.inf)
+    _, found, left = jax.lax.while_loop(going, improve, carry)
+    # one step more has the derivative of the points, by the implicit function
+    state, _ = _improved(scene, t, eqx.tree_at(_places, state, _places(found)))
+    gap = _apart(scene, t, state, _none(scene, state))[1]
+    double = close.dtype == jnp.float64
+    converged = left <= (1e-9 if double else 1e-4) * size
+    return jnp.where(converged, gap, jnp.nan), state
+
+
+def nearest_anywhere(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], FlyingState]:
+    """The same of the whole surfaces, where they may touch at several places.
+
+    The search begins where samples of both surfaces are nearest
+    (:func:`rollkane.dynamics.clearance.lowest_places`), wherever the state's
+    coordinates are.
+    """
+    if not may_touch_twice(scene):
+        return nearest(scene, t, state)
+    fixed = jax.lax.stop_gradient((scene, t, state))
+    gaps, starts = lowest_places(*fixed)
+    base, body = fixed[0].base.surface, fixed[0].body.surface
+
+    def begun(place):
+        on_body = fixed[2].contact_on_body
+        if scene.carries_point:
+            on_body = body.locate(on_body_axes(*fixed, place))
+        return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
+
+    found, closest = jax.vmap(lambda place: nearest(*fixed[:2], begun(place)))(starts)
+    # far from an uneven base Newton's method may go astray: there the samples will do
+    size = reach_of(body, gaps.dtype)
+    strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
+    best = jnp.argmin(jnp.where(strays, gaps, found))
+    place = jax.tree.map(lambda x: x[best], _places(closest))
+    gap, closest = nearest(scene, t, eqx.tree_at(_places, state, place))
+    return jnp.where(strays[best], gaps[best], gap), closest
+
+
+def _places(state: FlyingState) -> tuple[Array, Array]:
+    return state.contact_on_base, state.contact_on_body
+
+
+def closing(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+    """How fast the gap opens at the nearest points, and how fast it could close.
+
+    Args:
+        scene: What flies over what.
+        t: Time [s].
+        state: With its nearest points.
+
+    Returns:
+        Rate of the gap [m/s]; speed of the body's origin over the base [m/s]; length of
+        the angular velocity relative to it [rad/s].
+    """
+    moving, place, to_base = _placed(scene, t, state)
+    ground, point = _points(scene, state, to_base)
+    w, v = state.angular_velocity, state.velocity
+    if moving is not None:
+        v = moving.to_base(v)
+        pushed = moving.velocity_at(place)
+        v = v if pushed is None else v - pushed
+    spin = matvec(to_base, w)
+    if moving is not None and moving.angular_velocity is not None:
+        spin = spin - moving.angular_velocity
+    moved = v + cross(spin, matvec(to_base, point))
+    return dot(ground.frame[:, 2], moved), norm(v), norm(spin)
+
+
+def release(
+    scene: Scene,
+    orientation: Any,
+    angular_velocity: Any,
+    position: Any,
+    velocity: Any,
+    alpha: Any = (),
+    alpha_dot: Any = (),
+    *,
+    time: Any = 0.0,
+    near_on_base: Any = None,
+) -> FlyingState:
+    """The state of a body that is let go above its base, for a run with ``modes``.
+
+    Args:
+        scene: What will fall on what.
+        orientation: Unit quaternion, scalar first, body to fixed axes [1], shape (4,).
+        angular_velocity: Absolute, FIXED axes [rad/s], shape (3,).
+        position: Body origin, FIXED axes [m], shape (3,).
+        velocity: Of the body origin, FIXED axes [m/s], shape (3,).
+        alpha: Coordinates of what is supported, shape (n,).
+        alpha_dot: Their rates, shape (n,).
+        time: When the motion starts [s]; matters only where the base moves.
+        near_on_base: Where the base is nearest, about, base axes [m]; by default from
+            the body's place.
+
+    Raises:
+        FieldError: numbers of another shape, a body that is in its base already.
+    """
+    numbers = {
+        "orientation": (orientation, 4),
+        "angular_velocity": (angular_velocity, 3),
+        "position": (position, 3),
+        "velocity": (velocity, 3),
+        "alpha": (alpha, scene.coordinate_count),
+        "alpha_dot": (alpha_dot, scene.coordinate_count),
+    }
+    e, w, r, v, a, a_dot = (
+        real(f"release.{name}", value, (size,), "numbers in SI units")
+        for name, (value, size) in numbers.items()
+    )
+    t = jnp.asarray(time, r.dtype)
+    gap, state = _found(scene, t, e, w, r, v, a, a_dot, near_on_base)
+    place = refuse(
+        state.position,
+        ~(gap >= 0.0),
+        "release.position",
+        "is in the base, or the search for the nearest point of it failed",
+        "let the body go above the base, or give near_on_base",
+    )
+    return eqx.tree_at(lambda s: s.position, state, place)
+
+
+@for_one_call
+def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
+    base, body, motion = scene.base.surface, scene.body.surface, scene.base.motion
+    moving = None if motion is None else motion.at(t)
+    R = rotation_matrix(e)
+    if near is None:
+        near = r
+        if moving is not None:
+            origin = 0.0 if moving.position is None else moving.position
+            near = moving.to_base(r - origin)
+    on_base = base.locate(jnp.asarray(near, r.dtype))
+    on_body = jnp.zeros(0, r.dtype)
+    if scene.carries_point:
+        down = -matvec_transposed(R, base.geometry(on_base).frame[:, 2])
+        on_body = body.locate(down)
+    spin = matvec_transposed(R, w)
+    state = FlyingState(e, spin, on_base, on_body, a, a_dot, r, v)
+    from_far = lambda state, _: (nearest(scene, t, state)[1], None)
+    state, _ = jax.lax.scan(from_far, state, length=4)
+    return nearest_anywhere(scene, t, state)
+
+
+def _unknowns(scene: Scene) -> int:
+    return 4 if scene.carries_point else 2
+
+
+def _none(scene: Scene, state: FlyingState) -> Array:
+    return jnp.zeros(_unknowns(scene), state.position.dtype)
+
+
+def _improved(scene: Scene, t, state: FlyingState) -> tuple[FlyingState, Array]:
+    """After a Newton step, and the largest of what was left before it."""
+    rest = _none(scene, state)
+    left = _apart(scene, t, state, rest)[0]
+    slope = jax.jacfwd(lambda x: _apart(scene, t, state, x)[0])(rest)
+    solve = solve_2x2 if left.shape[0] == 2 else _solve_by_points
+    return _moved(scene, state, -solve(slope, left)), jnp.max(jnp.abs(left))
+
+
+def _solve_by_points(slope, left) -> Float[Array, "4"]:
+    """Moves of both points; the base's, whose block is near its metric, eliminated."""
+    own = solve_2x2(slope[:2, :2], left[:2])
+    by_body = solve_2x2(slope[:2, :2], slope[:2, 2:])
+    rest = slope[2:, 2:] - matmul(slope[2:, :2], by_body)
+    body = solve_2x2(rest, left[2:] - matvec(slope[2:, :2], own))
+    return jnp.concatenate([own - matvec(by_body, body), body])
+
+
+def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
+    """The state with nearest points moved by tangent coordinates."""
+    base, body = scene.base.surface, scene.body.surface
+    on_base, on_body = state.contact_on_base, state.contact_on_body
+    ground = base.geometry(on_base)
+    on_base = on_base + base.coordinate_rates(on_base, ground, x[:2])
+    if scene.carries_point:
+        shell = body.geometry(on_body)
+        on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
+    places = base.settled(on_base), body.settled(on_body)
+    return eqx.tree_at(_places, state, places)
+
+
+def _placed(scene: Scene, t, state: FlyingState):
+    """Motion of the base, origin of the body on its axes [m], and body to base axes."""
+    motion = scene.base.motion
+    moving = None if motion is None else motion.at(t)
+    place = state.position
+    if moving is not None:
+        origin = 0.0 if moving.position is None else moving.position
+        place = moving.to_base(place - origin)
+    return moving, place, body_to_base(rotation_matrix(state.orientation), moving)
+
+
+def on_body_axes(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, point: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """A point on base axes [m], on those of the body in flight."""
+    _, place, to_base = _placed(scene, t, state)
+    return matvec_transposed(to_base, point - place)
+
+
+def _points(scene: Scene, state: FlyingState, to_base):
+    """The base at its nearest point, and the body's nearest point [m], body axes."""
+    base, body = scene.base.surface, scene.body.surface
+    ground = base.geometry(state.contact_on_base)
+    if scene.carries_point:
+        return ground, body.point(state.contact_on_body)
+    of_normal = body.normal_map(base.is_flat)
+    assert of_normal is not None
+    return ground, of_normal(-matvec_transposed(to_base, ground.frame[:, 2]))
+
+
+def _apart(scene: Scene, t, state: FlyingState, x):
+    """How far the points are from being nearest, and their distance [m]."""
+    state = _moved(scene, state, x)
+    _, place, to_base = _placed(scene, t, state)
+    ground, point = _points(scene, state, to_base)
+    first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
+    aligned = []
+    if scene.carries_point:
+        shell = scene.body.surface.geometry(state.contact_on_body)
+        normal = matvec(to_base, shell.frame[:, 2])
+        aligned = [dot(normal, first), dot(normal, second)]
+    across = place + matvec(to_base, point) - ground.position
+    left = [dot(first, across), dot(second, across), *aligned]
+    return jnp.stack(left), dot(out, across)
+
+
+def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingState:
+    """The state at which a contact ends."""
+    contact = contact_of(scene, t, state)
+    moved = contact.point_velocity
+    v = -cross(contact.angular_velocity, contact.body_point)
+    v = v if moved is None else v + moved
+    parts = shared_parts(state)
+    if contact.orientation is not None:
+        parts["orientation"] = contact.orientation  # brought onto the base's normal
+    return FlyingState(
+        **parts, position=contact.position, velocity=matvec(contact.rotation, v)
+    )

@@ -1,0 +1,332 @@
+"""The impact of a body with Coulomb friction, integrated over its normal impulse.
+
+Routh's process: the velocity of the point that touches follows the impulse, friction
+acts against the slip of that instant, and the restitution of the energy that
+compression took ends it (Stronge). So the impulse pushes, lies in the friction cone,
+and its work is never positive, whatever the body. Equations: docs/theory.md, (7.6) to
+(7.10).
+"""
+
+from typing import NamedTuple
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..codegen.tableau import weights_of
+from ..geometry.small_linear import dot, matvec, solve_2x2
+
+# What stands for a body that never slips: above 1 / eps, where G_nn + mu G_nt rounds to
+# the latter, in float32, too
+NEVER_SLIPS = 1e16
+# A step of the method of order 8, times the fastest rate of the slip's direction:
+# 0.5^9 / 9! = 5e-9 at most, of which its error constant leaves a hundredth
+_STEP = 0.5
+# Slip times the turn of its direction, over the speed of the impact: what a straight
+# way leaves out from there
+_STRAIGHT = 1e-10
+_CLOSE = 500  # roundings, of an end's equation: its Newton step is below one
+_TURNS = 400  # 23 / 0.5 for slip and turn to fade, as many to turn round, two searches
+
+
+class Impact(NamedTuple):
+    """What an impact leaves, on axes (t1, t2, n): n out of the base.
+
+    Attributes:
+        impulse: Of the base on the body [N s], shape (3,).
+        velocity: Of the body's point over the base [m/s], shape (3,): zero along the
+            surface where it sticks, along n where it stays.
+    """
+
+    impulse: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+
+
+def collided(
+    velocity: Float[Array, "3"],
+    response: Float[Array, "3 3"],
+    friction: Float[Array, ""],
+    restitution: Float[Array, ""],
+    rest_speed: Float[Array, ""],
+) -> Impact:
+    """The impact of a point that comes in with a velocity.
+
+    Args:
+        velocity: Of the body's point over the base [m/s], axes (t1, t2, n).
+        response: ``G``, its change by an impulse [m/s per N s]; symmetric, positive.
+        friction: Of sliding [1]; ``NEVER_SLIPS`` for a body that never slips.
+        restitution: Of the energy: the square root of the share of the work of
+            compression that is given back [1].
+        rest_speed: What would rebound slower stays in contact [m/s].
+
+    Derivatives of both modes are columns of one Jacobian, taken forwards: the loop has
+    as many turns as the impact needs.
+    """
+    inputs = jnp.concatenate(
+        [velocity, response.reshape(9), jnp.stack([friction, restitution])]
+    )
+    found = _collided(inputs, rest_speed)
+    return Impact(found[:3], found[3:])
+
+
+@jax.custom_jvp
+def _collided(inputs, rest_speed):
+    velocity, response = inputs[:3], inputs[3:12].reshape(3, 3)
+    return _process(velocity, response, inputs[12], inputs[13], rest_speed)
+
+
+@_collided.defjvp
+def _collided_jvp(primals, tangents):
+    inputs, rest_speed = primals
+    jacobian = jax.jacfwd(lambda x: _process_of(x, rest_speed))(inputs)
+    return _collided(*primals), jacobian @ tangents[0]
+
+
+def _process_of(x, rest_speed):
+    return _process(x[:3], x[3:12].reshape(3, 3), x[12], x[13], rest_speed)
+
+
+class _Sliding(NamedTuple):
+    """The process while it slips, in a time of its own: ``dp = |u_t| ds``.
+
+    ``y`` is velocity (3), impulse (3) and the work W of its normal part.
+    """
+
+    y: Float[Array, "7"]
+    trial: Array  # next step
+    low: Array  # of a search for the end of a phase: steps on both sides of it
+    high: Array
+    phase: Array  # 0: compression; 1: restitution; 2: ended
+    goal: Array  # of W in restitution
+    closed: Float[Array, "7"]  # where compression ended
+    turns: Array
+
+
+def _rates(G, mu, y):
+    """``u' = G j', j' = (-mu u_t, |u_t|), W' = |u_t| u_n``: smooth as the slip ends."""
+    slip = _length(y[:2])
+    push = jnp.concatenate([-mu * y[:2], slip[None]])
+    return jnp.concatenate([matvec(G, push), push, (slip * y[2])[None]])
+
+
+def _stepped(G, mu, y, h):
+    """One step of an explicit method of order 8, and the rates at its end.
+
+    Written out: in a batch a loop over its stages takes fourteen times as long.
+    """
+    known, at = [_rates(G, mu, y)], y
+    for row in weights_of(dfx.Dopri8(), "an impact").rows:
+        terms = [w * k for w, k in zip(row, known, strict=True) if w]
+        at = y + h * sum(terms[1:], terms[0])
+        known.append(_rates(G, mu, at))
+    return at, known[-1]
+
+
+def _length(v):
+    """Of a vector that may be zero, where its derivative is taken as zero."""
+    squared = dot(v, v)
+    where = squared > 0.0
+    return jnp.where(where, jnp.sqrt(jnp.where(where, squared, 1.0)), 0.0)
+
+
+def _turning(G, mu, y):
+    """Slip [m/s], times how fast it turns over the fastest that it could.
+
+    Zero without friction: the velocity is then linear in the normal impulse.
+    """
+    slip, way = _slip_of(y)
+    pull = G[:2, 2] - mu * matvec(G[:2, :2], way)
+    turning = jnp.abs(way[0] * pull[1] - way[1] * pull[0]) / _fastest(G, mu)
+    return jnp.where(mu > 0.0, slip * turning, 0.0)
+
+
+def _slip_of(velocity):
+    """Slip [m/s] and its direction, zero where it does not slip."""
+    slip = _length(velocity[:2])
+    return slip, velocity[:2] / jnp.where(slip > 0.0, slip, 1.0)
+
+
+def _fastest(G, mu):
+    """A bound of the rates of the slip's direction and logarithm."""
+    rate = mu * (G[0, 0] + G[1, 1]) + _length(G[:2, 2])
+    return jnp.where(rate > 0.0, rate, 1.0)
+
+
+def _slid(G, mu, e, start: _Sliding, least) -> _Sliding:
+    """Until the impact has ended, or the slip goes straight: to its end, if any."""
+    step = jax.lax.stop_gradient(_STEP / _fastest(G, mu))
+    eps = jnp.finfo(G.dtype).eps
+
+    def going(c: _Sliding):
+        turns = _turning(G, mu, c.y) > least
+        return turns & (c.phase < 2) & (c.turns < _TURNS)
+
+    def turn(c: _Sliding):
+        y, rates = _stepped(G, mu, c.y, c.trial)
+        compresses = c.phase == 0
+        end = jnp.where(compresses, y[2], y[6] - c.goal)
+        rate = jnp.where(compresses, rates[2], rates[6])
+        size = jnp.where(compresses, jnp.abs(c.y[2]), jnp.abs(c.goal - c.y[6]))
+        newton = -end / jnp.where(rate == 0.0, 1.0, rate)
+        ends = jnp.abs(end) <= _CLOSE * eps * size
+        beyond = (end > 0.0) & ~ends
+        searching = beyond | (c.high > 0.0)
+        low = jnp.where(searching & ~beyond, c.trial, c.low)
+        high = jnp.where(beyond, c.trial, c.high)
+        # a bracket that has no number left between its sides has found it, too
+        ends |= searching & (high - low <= 4.0 * eps * high)
+        steps = ~searching & ~ends
+        tried = c.trial + newton
+        inside = (tried > low) & (tried < high)
+        tried = jnp.where(inside, tried, 0.5 * (low + high))
+        at_end = y + newton * rates  # value zero: an end's derivative
+        moved = jnp.where(ends, at_end, jnp.where(steps, y, c.y))
+        zero = jnp.zeros_like(c.low)
+        over = steps | ends
+        closes = ends & compresses
+        goal = (1.0 - e * e) * at_end[6]
+        # e = 0 gives nothing back
+        phase = jnp.where(ends, c.phase + 1, c.phase)
+        phase = jnp.where(closes & (e == 0.0), 2, phase)
+        return _Sliding(
+            y=moved,
+            trial=jnp.where(over, step, tried),
+            low=jnp.where(over, zero, low),
+            high=jnp.where(over, zero, high),
+            phase=phase,
+            goal=jnp.where(closes, goal, c.goal),
+            closed=jnp.where(closes, at_end, c.closed),
+            turns=c.turns + 1,
+        )
+
+    return jax.lax.while_loop(going, turn, start._replace(trial=step))
+
+
+def _process(velocity, G, mu, e, rest_speed):
+    """Impulse and velocity behind an impact, in one array."""
+    zero, none = jnp.zeros_like(mu), jnp.asarray(0)
+    y = jnp.concatenate([velocity, jnp.zeros(4, mu.dtype)])
+    comes = velocity[2] < 0.0
+    least = _STRAIGHT * jnp.where(comes, _length(velocity), jnp.inf)
+    c = _slid(G, mu, e, _Sliding(y, zero, zero, zero, none, zero, y, none), least)
+    lost = comes & (c.phase < 2) & (_turning(G, mu, c.y) > least)
+    now = _Now(c.y[:3], c.y[3:6], c.y[6], c.phase, c.goal, c.closed[:6])
+    slip, way = _slip_of(now.velocity)
+    push = jnp.append(-mu * way, jnp.ones_like(mu))
+    change = matvec(G, push)
+    slows = -dot(way, change[:2])
+    stops = (slip == 0.0) | ((slows > 0.0) & (mu > 0.0))
+    until = jnp.where(stops, slip / jnp.where(slows > 0.0, slows, 1.0), jnp.inf)
+    now = now.pushed(push, change, e, until)
+    # what rounding and the straight way left of the slip goes as well
+    rest = -solve_2x2(G[:2, :2], now.velocity[:2])
+    up = now.velocity[2] + dot(G[:2, 2], rest)
+    stopped = now._replace(
+        velocity=jnp.append(jnp.zeros_like(rest), up),
+        impulse=now.impulse + jnp.append(rest, zero),
+    )
+    stopped = stopped.pushed(*_without_slip(G, mu), e, jnp.inf)
+    slipped = (now.phase == 2) | ~stops
+    end = jax.tree.map(lambda a, b: jnp.where(slipped, a, b), now, stopped)
+    stays = end.velocity[2] < rest_speed
+    closed = jnp.concatenate([end.closed[3:6], end.closed[:2], zero[None]])
+    found = jnp.concatenate([end.impulse, end.velocity])
+    found = jnp.where(stays, closed, found)
+    # what does not come in is not hit
+    apart = jnp.maximum(velocity[2], 0.0)
+    apart = jnp.where(apart < rest_speed, 0.0, apart)
+    missed = jnp.concatenate([jnp.zeros_like(velocity), velocity[:2], apart[None]])
+    return jnp.where(lost, jnp.nan, jnp.where(comes, found, missed))
+
+
+class _Now(NamedTuple):
+    """Where the process is; ``closed``: velocity and impulse as compression ended."""
+
+    velocity: Float[Array, "3"]
+    impulse: Float[Array, "3"]
+    work: Array
+    phase: Array
+    goal: Array
+    closed: Float[Array, "6"]
+
+    def pushed(self, push, change, e, until) -> "_Now":
+        """Behind a push of constant direction, ``change`` of velocity for one N s.
+
+        It lasts ``until`` a normal impulse, or to the end of the impact: the velocity
+        is linear in p and W quadratic, so that both ends are roots of a quadratic.
+        """
+        u, rise = self.velocity[2], change[2]
+        safe = jnp.where(rise > 0.0, rise, 1.0)
+        close = jnp.where(rise > 0.0, -u / safe, jnp.inf)
+        closes = (self.phase == 0) & (close < until)
+        close = jnp.where(closes, close, 0.0)
+        least = self.work + (u + 0.5 * rise * close) * close
+        goal = jnp.where(closes, (1.0 - e * e) * least, self.goal)
+        # restitution, from the end of compression or from here
+        begun = jnp.where(closes, least, self.work)
+        u = jnp.where(closes, 0.0, u)
+        back = goal - begun
+        reach = u * u + 2.0 * rise * back
+        slow = u + _root(reach)
+        more = jnp.where(slow > 0.0, 2.0 * back / jnp.where(slow > 0.0, slow, 1.0), 0.0)
+        restores = closes | (self.phase == 1)
+        ends = restores & (reach >= 0.0) & (close + more < until)
+        last = jnp.where(ends, close + more, until)
+        last = jnp.where((self.phase == 2) | jnp.isinf(last), 0.0, last)
+        at_close = jnp.concatenate(
+            [self.velocity + close * change, self.impulse + close * push]
+        )
+        phase = jnp.where(closes, 1, self.phase)
+        start = self.velocity[2]
+        return _Now(
+            velocity=self.velocity + last * change,
+            impulse=self.impulse + last * push,
+            work=self.work + (start + 0.5 * rise * last) * last,
+            phase=jnp.where(ends, 2, phase),
+            goal=goal,
+            closed=jnp.where(closes, at_close, self.closed),
+        )
+
+
+def _root(x):
+    """Square root of what may be zero, where its derivative is taken as zero."""
+    return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
+
+
+def _without_slip(G, mu):
+    """Push along n of one N s on a point that does not slip, and its velocity's change.
+
+    It sticks, or begins to slip along s: ``(mu G_tt + f) s = G_tn``, ``|s| = 1``, with
+    f > 0 the rate of the slip.
+    """
+    A, b = G[:2, :2], G[:2, 2]
+    eye = jnp.eye(2, dtype=A.dtype)
+    holding = solve_2x2(A, b)
+    sticks = dot(holding, holding) <= mu * mu
+    of_slip = jnp.where(sticks, 0.0, mu) * A
+    f = _rate_of_slip(of_slip, jnp.where(sticks, eye[0], b))
+    s = solve_2x2(jnp.where(sticks, eye, of_slip + f * eye), b)
+    along = jnp.where(sticks, -holding, -mu * s)
+    push = jnp.append(along, jnp.ones_like(mu))
+    rise = G[2, 2] + dot(b, along)
+    return push, jnp.append(jnp.where(sticks, 0.0, f * s), rise)
+
+
+def _rate_of_slip(A, b):
+    """The f > 0 with ``|(A + f)^-1 b| = 1``: Newton on ``1 / |s| - 1``, from below.
+
+    That function of f is concave and rises, so that the iterates rise to the root.
+    """
+    eye = jnp.eye(2, dtype=A.dtype)
+
+    def improved(f, _):
+        s = solve_2x2(A + f * eye, b)
+        size = _length(s)
+        slope = dot(s, solve_2x2(A + f * eye, s)) / size**3
+        return f + (1.0 - 1.0 / size) / slope, None
+
+    trace = A[0, 0] + A[1, 1]
+    least = jnp.maximum(_length(b) - trace, 0.0)  # |s| >= |b| / (trace + f)
+    f, _ = jax.lax.scan(improved, least, length=20)
+    return f

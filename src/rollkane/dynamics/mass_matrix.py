@@ -1,0 +1,215 @@
+"""The linear system of the accelerations: mass matrix and right-hand side.
+
+Angular acceleration and alpha'' on body axes, about the contact point (theory, section
+4.1).
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import components, cross, dot, matvec, matvec_transposed
+from ..kinematics.contact import Contact
+from ..kinematics.voronets import AnyState
+from .bodies import inertia_about
+from .loads import AbstractLoad
+from .scene import Scene
+from .supported import AbstractSupported, Carried, total
+
+# products of more coordinates are one product of matrices: they would take minutes to
+# compile one by one
+_ONE_BY_ONE = 8
+
+
+class Masses(NamedTuple):
+    """One carried part about the contact point, and what drives it.
+
+    Attributes:
+        part: The part.
+        arm: ``s = r - rho`` [m], body axes, shape (3, k).
+        drive: ``m beta`` less the loads' fields [N], body axes, shape (3, k).
+        torque: Rate of its own angular momentum without w' and alpha'' [N m]; None
+            for point masses.
+    """
+
+    part: Carried
+    arm: Float[Array, "3 k"]
+    drive: Float[Array, "3 k"]
+    torque: Float[Array, "3"] | None
+
+
+class System(NamedTuple):
+    """The linear system ``[[Th, G], [G^T, Ma]] (w', alpha'') = rhs`` on body axes.
+
+    Attributes:
+        rows: Lower triangle by rows, row i with i + 1 entries.
+        rhs: Its right-hand side, 3 + n entries.
+        arm: Mass centre of the body alone from the contact point [m].
+        proper: ``a_P - g``, what an accelerometer at the body's point of contact
+            would show: its acceleration less the fields [m/s^2].
+        force: Loads that act on the body as a force [N]; None for none.
+        masses: What is carried.
+    """
+
+    rows: list[list[Array]]
+    rhs: list[Array]
+    arm: Float[Array, "3"]
+    proper: Float[Array, "3"]
+    force: Float[Array, "3"] | None
+    masses: tuple[Masses, ...]
+
+
+def assemble(
+    scene: Scene, t: Float[Array, ""], state: AnyState, contact: Contact
+) -> System:
+    """Mass matrix and right-hand side of a scene.
+
+    Source: theory, section 4.1.
+    """
+    body, w = scene.body, contact.angular_velocity
+    c = body.center_of_mass - contact.body_point
+    Th = inertia_about(body.mass, c, body.inertia)
+    proper = contact.body_point_acceleration
+    field = field_of(scene.loads)
+    if field is not None:
+        proper = proper - matvec_transposed(contact.rotation, field)
+    rhs = cross(body.mass * proper, c) - cross(w, times_lower(Th, w))
+    force = None
+    for load in scene.loads:
+        wrench = load.wrench(t, body, contact)
+        if wrench is not None:
+            rhs = rhs + wrench[1]
+            force = wrench[0] if force is None else force + wrench[0]
+    rows, right, masses = Th, components(rhs), []
+    for supported, alpha, alpha_dot in shares(
+        scene.supported, state.alpha, state.alpha_dot
+    ):
+        part = _masses(supported.carried(t, alpha, alpha_dot), contact, proper)
+        own = generalized_force(supported, t, alpha, alpha_dot)
+        rows, right = _with_masses(rows, right, part, own)
+        masses.append(part)
+    return System(rows, right, c, proper, force, tuple(masses))
+
+
+def field_of(loads: tuple[AbstractLoad, ...]) -> Float[Array, "3"] | None:
+    """Sum of the fields of all loads [m/s^2], fixed axes; None for none."""
+    fields = [load.field for load in loads if load.field is not None]
+    return sum(fields[1:], fields[0]) if fields else None
+
+
+def shares(
+    supported: tuple[AbstractSupported, ...], alpha: Array, alpha_dot: Array
+) -> Iterator[tuple[AbstractSupported, Array, Array]]:
+    """Each supported part with its own coordinates and rates."""
+    start = 0
+    for part in supported:
+        end = start + part.count
+        yield part, alpha[start:end], alpha_dot[start:end]
+        start = end
+
+
+def generalized_force(
+    part: AbstractSupported, t: Array, alpha: Array, alpha_dot: Array
+) -> list[Array] | None:
+    """``Q_s`` of springs, dampers and motors, one entry for each coordinate."""
+    if not part.count:
+        return None
+    force = part.generalized_force(t, alpha, alpha_dot)
+    if part.potential_energy(alpha) is not None:
+        spring = -jax.grad(lambda a: part.potential_energy(a))(alpha)
+        force = spring if force is None else force + spring
+    return None if force is None else components(force)
+
+
+def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
+    """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**`` (theory 4.1)."""
+    w = contact.angular_velocity
+    s = part.place - contact.body_point[:, None]
+    coriolis = cross(w, cross(w, s) + 2.0 * part.velocity)
+    drive = part.mass[None] * (coriolis + part.bias + proper[:, None])
+    if part.turning is None:
+        return Masses(part, s, drive, None)
+    # angular momentum of a rigid part about its own mass centre, I_r (w + w_r)
+    I_r, w_r = part.turning.inertia, part.turning.velocity
+    W = w + w_r
+    change = matvec(I_r, part.turning.bias + cross(w, w_r))
+    return Masses(part, s, drive, change + cross(W, matvec(I_r, W)))
+
+
+def _with_masses(
+    rows: list[list[Array]], rhs: list[Array], masses: Masses, own: list | None
+) -> tuple[list[list[Array]], list[Array]]:
+    """The system with one more part: its coordinates come last."""
+    part, s, drive, torque = masses
+    m, turning = part.mass[None], part.turning
+    moment = total(cross(s, drive))
+    if torque is not None:
+        moment = moment + torque
+    before = len(rows)
+    rows = [list(row) for row in rows]
+    rhs = [b - d for b, d in zip(rhs[:3], components(moment), strict=True)] + rhs[3:]
+    own_inertia = None if turning is None else turning.inertia
+    for i, row in enumerate(_inertia_rows(part.mass, s, own_inertia)):
+        rows[i] = [old + new for old, new in zip(rows[i], row, strict=True)]
+    zero = jnp.zeros_like(rhs[0])
+    pushes = [m * u for u in part.partials]
+    products = _products(pushes, part.partials)
+    for a, (u, push) in enumerate(zip(part.partials, pushes, strict=True)):
+        G = total(cross(s, push))
+        Q = -_summed(dot(u, drive))
+        mass_row = products[a]
+        if turning is not None and torque is not None:
+            tilt = turning.partials[a]
+            stored = matvec(turning.inertia, tilt)
+            G = G + stored
+            Q = Q - dot(tilt, torque)
+            mass_row = [
+                x + dot(stored, turning.partials[b]) for b, x in enumerate(mass_row)
+            ]
+        rows.append([*components(G), *[zero] * (before - 3), *mass_row])
+        rhs.append(Q if own is None else Q + own[a])
+    return rows, rhs
+
+
+def _products(pushes: list[Array], partials: Sequence[Array]) -> list[list[Array]]:
+    """Lower triangle of ``sum m dr/dalpha_a . dr/dalpha_b``."""
+    count = len(partials)
+    if count > _ONE_BY_ONE:
+        both = jnp.stack(pushes), jnp.stack(partials)
+        table = jnp.tensordot(*both, axes=((1, 2), (1, 2)))
+        return [components(row)[: a + 1] for a, row in enumerate(components(table))]
+    return [
+        [_summed(dot(pushes[a], partials[b])) for b in range(a + 1)]
+        for a in range(count)
+    ]
+
+
+def _inertia_rows(mass, s, own_inertia) -> list[list[Array]]:
+    """Lower triangle of ``sum m (|s|^2 I - s s^T)``, and of a rigid part's own."""
+    x, y, z = components(s)
+    xx, yy, zz = (_summed(mass * a * a) for a in (x, y, z))
+    rows = [
+        [yy + zz],
+        [-_summed(mass * x * y), xx + zz],
+        [-_summed(mass * x * z), -_summed(mass * y * z), xx + yy],
+    ]
+    if own_inertia is None:
+        return rows
+    return [[rows[i][j] + own_inertia[i, j] for j in range(i + 1)] for i in range(3)]
+
+
+def _summed(x: Float[Array, " k"]) -> Float[Array, ""]:
+    if x.shape[0] > 8:
+        return jnp.sum(x)
+    parts = components(x)
+    return sum(parts[1:], parts[0])
+
+
+def times_lower(lower: list[list[Array]], v: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Symmetric matrix, given by its lower triangle, times a vector."""
+    n, x = len(lower), components(v)
+    rows = [[lower[max(i, j)][min(i, j)] * x[j] for j in range(n)] for i in range(n)]
+    return jnp.stack([sum(row[1:], row[0]) for row in rows])

@@ -1,0 +1,241 @@
+"""What a motion is measured by: energy, momentum, power, moving energy, forces.
+
+Functions of the scene, the time and one state, in either coordinates.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import cross, dot, matvec, norm
+from ..kinematics.base_motion import Spin
+from ..kinematics.contact import Contact
+from ..kinematics.voronets import AnyState
+from .bodies import inertia_about
+from .contact_laws import accelerations, momentum_rate
+from .loads import Potential
+from .mass_matrix import assemble, field_of, shares, times_lower
+from .rolling import contact_of, press_and_pull
+from .scene import Scene
+from .supported import Prescribed, total
+
+
+class _Moving(NamedTuple):
+    """Masses of the system at one instant, on body axes."""
+
+    mass: Float[Array, " k"]
+    arm: Float[Array, "3 k"]  # from the contact point [m]
+    velocity: Float[Array, "3 k"]  # absolute [m/s]
+    own_spin: Float[Array, "3"] | None  # own angular momentum of a rigid part
+    own_energy: Float[Array, ""] | None
+
+
+def _shares(scene: Scene, state: AnyState):
+    return shares(scene.supported, state.alpha, state.alpha_dot)
+
+
+def _moving(scene: Scene, t, state, contact: Contact) -> Iterator[_Moving]:
+    """The body, then everything that it carries."""
+    w, j = contact.angular_velocity, contact.point_velocity
+    body = scene.body
+    c = body.center_of_mass - contact.body_point
+    v = cross(w, c) if j is None else j + cross(w, c)
+    zero = jnp.zeros_like(c)
+    spin = times_lower(inertia_about(body.mass, zero, body.inertia), w)
+    yield _Moving(body.mass[None], c[:, None], v[:, None], spin, 0.5 * dot(w, spin))
+    for supported, alpha, alpha_dot in shares(
+        scene.supported, state.alpha, state.alpha_dot
+    ):
+        part = supported.carried(t, alpha, alpha_dot)
+        s = part.place - contact.body_point[:, None]
+        v = cross(w, s) + part.velocity
+        v = v if j is None else v + j[:, None]
+        spin = energy = None
+        if part.turning is not None:
+            W = w + part.turning.velocity
+            spin = matvec(part.turning.inertia, W)
+            energy = 0.5 * dot(W, spin)
+        yield _Moving(part.mass, s, v, spin, energy)
+
+
+def kinetic_energy(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, ""]:
+    """Kinetic energy of the body and of all that it carries [J] (theory 3)."""
+    contact = contact_of(scene, t, state)
+    energy = jnp.zeros_like(contact.angular_velocity[0])
+    for mass, _, v, _, own in _moving(scene, t, state, contact):
+        energy = energy + 0.5 * jnp.sum(mass * dot(v, v))
+        energy = energy if own is None else energy + own
+    return energy
+
+
+def energy(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""]:
+    """Kinetic plus potential energy [J]: of fields and potentials of loads, of springs.
+
+    The potential of a field is ``-sum m g . r`` from the fixed origin; a spring counts
+    where it is given by a potential.
+    """
+    value = kinetic_energy(scene, t, state)
+    contact = contact_of(scene, t, state)
+    field = field_of(scene.loads)
+    if field is not None:
+        for mass, s, *_ in _moving(scene, t, state, contact):
+            arm = matvec(contact.rotation, total(mass[None] * s))
+            value = value - dot(field, jnp.sum(mass) * contact.place + arm)
+    for supported, alpha, _ in _shares(scene, state):
+        stored = supported.potential_energy(alpha)
+        value = value if stored is None else value + stored
+    for load in scene.loads:
+        stored = load.potential_energy(t, scene.body, contact)
+        value = value if stored is None else value + stored
+    return value
+
+
+def momentum(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "3"]:
+    """``P``, momentum of the whole system [kg m/s], FIXED axes (theory 3)."""
+    contact = contact_of(scene, t, state)
+    return matvec(contact.rotation, _momentum(scene, t, state, contact))
+
+
+def _momentum(scene, t, state, contact: Contact) -> Float[Array, "3"]:
+    parts = [
+        total(mass[None] * v) for mass, _, v, *_ in _moving(scene, t, state, contact)
+    ]
+    return sum(parts[1:], parts[0])
+
+
+def contact_angular_momentum(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, "3"]:
+    """``K^M``, about the contact point, in absolute motion [kg m^2/s], FIXED axes.
+
+    Source: theory, section 3; [A], last formula: it is m', the gradient of Theta'.
+    """
+    contact = contact_of(scene, t, state)
+    parts = []
+    for mass, s, v, own, _ in _moving(scene, t, state, contact):
+        spin = total(mass[None] * cross(s, v))
+        parts.append(spin if own is None else spin + own)
+    return matvec(contact.rotation, sum(parts[1:], parts[0]))
+
+
+def angular_momentum(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, "3"]:
+    """``J``, about the fixed origin, in absolute motion [kg m^2/s], FIXED axes."""
+    contact = contact_of(scene, t, state)
+    spin = contact_angular_momentum(scene, t, state)
+    return spin + cross(contact.place, momentum(scene, t, state))
+
+
+def moving_energy(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, ""]:
+    """``E - v_Oc . P - w_c . J_Oc`` [J], with J about the base's origin.
+
+    Constant on a base that turns and glides steadily along loads that it does not
+    change, such as E - Omega J_z on a horizontal turntable. On a base at rest, E.
+    """
+    contact = contact_of(scene, t, state)
+    value, base = energy(scene, t, state), contact.base
+    if base is None:
+        return value
+    P = momentum(scene, t, state)
+    if base.velocity is not None:
+        value = value - dot(base.velocity, P)
+    if base.angular_velocity is not None:
+        arm = base.to_fixed(contact.base_point)
+        J = contact_angular_momentum(scene, t, state) + cross(arm, P)
+        value = value - dot(base.to_fixed(base.angular_velocity), J)
+    return value
+
+
+def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""]:
+    """Rate at which energy is given to the system [W].
+
+    The contact force gives ``Rc . (j + U)`` (nothing where the body rolls on a base at
+    rest, less than nothing by friction), the contact's moment ``M . w``, forces on the
+    coordinates ``Q_s alpha'^s`` (springs with a potential excepted), forces of loads on
+    the body (potentials excepted) theirs, and prescribed motions whatever they need. It
+    is the rate of :func:`energy` exactly.
+
+    Source: theory, section 5 (power).
+    """
+    contact = contact_of(scene, t, state)
+    system = assemble(scene, t, state, contact)
+    solution = accelerations(scene, t, contact, system)
+    w_dot, slid = solution.angular_acceleration, solution.slip_acceleration
+    w, j = contact.angular_velocity, contact.point_velocity
+    value = jnp.zeros_like(w[0])
+    if j is not None:
+        force = momentum_rate(scene, contact, system).force(solution)
+        value = value + dot(j, force)
+    if solution.moment is not None:
+        value = value + dot(w, solution.moment)
+    for load in scene.loads:
+        wrench = load.wrench(t, scene.body, contact)
+        stored = load.potential_energy(t, scene.body, contact)
+        if wrench is not None and stored is None:
+            value = value + dot(w, wrench[1])
+            value = value if j is None else value + dot(j, wrench[0])
+    parts = zip(
+        _shares(scene, state),
+        system.masses,
+        strict=True,
+    )
+    for (supported, alpha, alpha_dot), (part, s, drive, torque) in parts:
+        if isinstance(supported, Prescribed):
+            push = cross(w_dot, s) if slid is None else cross(w_dot, s) + slid[:, None]
+            need = part.mass[None] * push + drive
+            value = value + jnp.sum(dot(part.velocity, need))
+            if part.turning is not None and torque is not None:
+                spin = matvec(part.turning.inertia, w_dot) + torque
+                value = value + dot(part.turning.velocity, spin)
+            continue
+        Q = supported.generalized_force(t, alpha, alpha_dot)
+        if Q is not None and supported.count:
+            value = value + dot(Q, alpha_dot)
+    return value
+
+
+def normal_force(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, ""]:
+    """Normal force [N]; negative where the contact would have to pull."""
+    return press_and_pull(scene, t, state)[0]
+
+
+def outward(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "3"]:
+    """Unit normal out of the body at the contact [1], FIXED axes."""
+    contact = contact_of(scene, t, state)
+    return matvec(contact.rotation, contact.normal)
+
+
+def friction_ratio(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, ""]:
+    """Friction coefficient that rolling needs, |tangential| / N [1]."""
+    press, pull = press_and_pull(scene, t, state)
+    return norm(pull) / press
+
+
+def kept_energy(scene: Scene) -> str:
+    """Which energy a motion has to keep: "energy", "moving energy", or "" for none."""
+    motion, field = scene.base.motion, field_of(scene.loads)
+    if scene.does_work:
+        return ""
+    if motion is None:
+        return "energy"
+    fixed_in_space = any(isinstance(load, Potential) for load in scene.loads)
+    if not isinstance(motion, Spin) or fixed_in_space:
+        return ""
+    if field is not None:
+        axis = np.asarray(motion.at(jnp.zeros((), field.dtype)).rotation)[:, 2]
+        field = np.asarray(field)
+        along = np.linalg.norm(np.cross(axis, field)) <= 1e-6 * np.linalg.norm(field)
+        return "moving energy" if along else ""
+    return "moving energy"

@@ -1,0 +1,321 @@
+"""Put a body onto its base: find the contact, or say why there is none."""
+
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..codegen.compile_effort import for_one_call
+from ..geometry.local_geometry import LocalGeometry, from_normal
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
+from ..geometry.surfaces import AbstractPointSurface, DiscEdge, PointOfNormal, Ring
+from ..kinematics.contact import body_to_base
+from ..kinematics.coordinates import SlidingState, State, shared_parts
+from ..validation.checks import is_traced, real, spoilt
+from .clearance import clearance, may_touch_twice
+from .consistency import consistent
+from .mass_matrix import assemble, field_of
+from .placement_errors import Placed, refuse_bad, refuse_needless, warn_of_pull
+from .rolling import contact_of
+from .scene import Scene, Slipping
+
+
+def place(
+    scene: Scene,
+    orientation: Any,
+    angular_velocity: Any,
+    contact_on_base: Any,
+    alpha: Any = (),
+    alpha_dot: Any = (),
+    *,
+    base_normal: Any = None,
+    near_on_body: Any = None,
+    time: Any = 0.0,
+    velocity: Any = None,
+    slip: Any = None,
+    allow_overlap: bool = False,
+) -> State:
+    """The state in which a body touches its base at a given point.
+
+    Args:
+        scene: What rolls on what.
+        orientation: Unit quaternion, scalar first, body to fixed axes [1], shape (4,).
+        angular_velocity: Absolute, FIXED axes [rad/s], shape (3,).
+        contact_on_base: Contact point, base axes [m], shape (3,); a point of the
+            base's surface.
+        alpha: Coordinates of what is supported, shape (n,).
+        alpha_dot: Their rates, shape (n,).
+        base_normal: Outward normal of the base at the contact [1], shape (3,); only
+            where the base is a sharp edge, which has a fan of them.
+        near_on_body: Body axes [m], shape (3,). Where several points of the body have
+            the needed normal (a cylinder, a ring, a body that is not convex), take the
+            one next to this; by default the outermost.
+        time: When the motion starts [s]; matters only where the base moves.
+        velocity: Of the body origin, FIXED axes [m/s], shape (3,), in a scene whose
+            contact slips; by default that of rolling. It must keep the body on the
+            base.
+        slip: Instead of ``velocity``: of the body's point at the contact over the base,
+            FIXED axes [m/s], shape (3,); its part along the normal is left out.
+        allow_overlap: Whether the body may be in the base elsewhere. Else that is
+            looked for where it is possible (not of two convex surfaces), on samples of
+            both surfaces and then closer: a tenth to a few milliseconds a placement,
+            and up to a second to compile; see :mod:`rollkane.dynamics.clearance`.
+
+    Returns:
+        The state, in pole-free coordinates; a ``SlidingState`` where the contact slips.
+        Under ``RubberRolling`` a spin about the normal, relative to the base, is left
+        out.
+
+    Raises:
+        FieldError: a quaternion that is not of unit length, a contact point off the
+            base, a body that cannot touch the base so, surfaces that fit each other, a
+            body that is in the base elsewhere, a velocity that leaves the base or that
+            rolling determines. Of numbers that are traced (``jit``, ``vmap``,
+            derivatives) the state becomes NaN instead, and a run from it ends with
+            ``Code.BAD_START``.
+
+    Warns:
+        UserWarning: the contact would have to pull from the start on, because the loads
+            pull the body off its base: the outward side of a surface may be the wrong
+            one.
+
+    Source: theory, section 7, ``n_body = -R^T n_base``.
+    """
+    dtype = scene.body.mass.dtype
+    meanings = {
+        "orientation": (orientation, 4, "a unit quaternion"),
+        "angular_velocity": (angular_velocity, 3, "rad/s, fixed axes"),
+        "contact_on_base": (contact_on_base, 3, "metres, base axes"),
+        "alpha": (alpha, scene.coordinate_count, "one for each coordinate"),
+        "alpha_dot": (alpha_dot, scene.coordinate_count, "one for each coordinate"),
+        "time": ([time], 1, "seconds"),
+        "base_normal": (base_normal, 3, "a direction, base axes"),
+        "near_on_body": (near_on_body, 3, "metres, body axes"),
+        "velocity": (velocity, 3, "m/s, fixed axes"),
+        "slip": (slip, 3, "m/s, fixed axes"),
+    }
+    optional = "base_normal", "near_on_body", "velocity", "slip"
+    refuse_needless(scene, {name: meanings[name][0] for name in optional})
+    asked = {
+        name: None
+        if value is None and name in optional
+        else _number(dtype, name, value, count, meaning)
+        for name, (value, count, meaning) in meanings.items()
+    }
+    looks = may_touch_twice(scene) and not allow_overlap
+    placed = (_placed_looking if looks else _placed)(scene, asked)
+    if not is_traced(placed):
+        refuse_bad(placed, asked)
+        warn_of_pull(scene, placed, asked)
+    return placed.state
+
+
+@for_one_call
+def _placed(scene: Scene, asked: dict[str, Any]) -> Placed:
+    return _examined(scene, asked, looks=False)
+
+
+@for_one_call
+def _placed_looking(scene: Scene, asked: dict[str, Any]) -> Placed:
+    return _examined(scene, asked, looks=True)
+
+
+def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
+    """A state from checked shapes, with everything that is wrong with it."""
+    time, q = asked["time"][0], asked["orientation"]
+    loose = _looseness(q.dtype)
+    fit = _fit(scene, asked, loose, time)
+    state = State(
+        orientation=fit.orientation,
+        angular_velocity=fit.angular_velocity,
+        contact_on_base=fit.on_base,
+        contact_on_body=fit.on_body,
+        alpha=asked["alpha"],
+        alpha_dot=asked["alpha_dot"],
+    )
+    wrong = {
+        "long": ~(jnp.abs(dot(q, q) - 1.0) < 2 * loose),
+        "misses": fit.misses,
+        "singular": fit.singular,
+        "off_base": fit.off_base,
+        "fits": fit.fits,
+        "cuts": fit.cuts,
+    }
+    overlap = where = None
+    if looks:
+        found = jax.lax.stop_gradient(clearance(scene, time, state))
+        overlap, where = -found.gap, found.place
+        wrong["overlaps"] = overlap > loose * (found.size + norm(where))
+    if scene.coordinate_count:
+        wrong["massless"] = _massless(scene, time, state)
+    if isinstance(scene.contact, Slipping):
+        state, leaves = _sliding(scene, time, state, asked, loose)
+        wrong["leaves"] = leaves
+    state = consistent(scene, time, state)
+    bad = jnp.any(jnp.stack(list(wrong.values())))
+    state = jax.tree.map(lambda x: spoilt(x, bad), state)
+    return Placed(state, wrong, fit.nearest, overlap, where, _off(scene, fit))
+
+
+def _off(scene: Scene, fit: "_Fit") -> Array:
+    """By how much the fields of the loads pull the body off its base [m/s^2]."""
+    field = field_of(scene.loads)
+    return jnp.zeros(()) if field is None else dot(field, fit.out)
+
+
+def _sliding(scene: Scene, time: Array, state: State, asked, loose: float):
+    """The state with a slip, and whether its velocity leaves the base."""
+    zero = jnp.zeros_like(state.angular_velocity)
+    start = SlidingState(**shared_parts(state), slip=zero)
+    if asked["slip"] is not None:
+        start = eqx.tree_at(lambda s: s.slip, start, asked["slip"])
+    velocity = asked["velocity"]
+    if velocity is None:
+        return start, jnp.asarray(False)
+    contact = contact_of(scene, time, state)
+    turned = matvec(
+        contact.rotation, cross(contact.angular_velocity, contact.body_point)
+    )
+    slip = velocity + turned
+    j = contact.base_velocity
+    if j is not None:
+        slip = slip - matvec(contact.rotation, j)
+    leaving = dot(slip, matvec(contact.rotation, contact.normal))
+    size = jnp.sqrt(dot(velocity, velocity) + dot(turned, turned))
+    start = eqx.tree_at(lambda s: s.slip, start, slip)
+    return start, ~(jnp.abs(leaving) <= loose * size)
+
+
+def _massless(scene: Scene, time: Array, state: State) -> Array:
+    """Whether the mass matrix, scaled to a diagonal of ones, is not positive."""
+    state = jax.lax.stop_gradient(state)
+    rows = assemble(scene, time, state, contact_of(scene, time, state)).rows
+    count = len(rows)
+    matrix = jnp.stack(
+        [
+            jnp.stack([rows[max(i, j)][min(i, j)] for j in range(count)])
+            for i in range(count)
+        ]
+    )
+    matrix = jax.lax.stop_gradient(matrix)
+    scale = jnp.sqrt(jnp.diagonal(matrix))
+    matrix = matrix / (scale[:, None] * scale[None, :])
+    # a Cholesky factor loses half the digits of the least eigenvalue
+    return ~(jnp.linalg.eigvalsh(matrix)[0] > 100 * jnp.finfo(matrix.dtype).eps)
+
+
+class _Fit(eqx.Module):
+    """Where two surfaces touch, and whether they can."""
+
+    orientation: Array
+    angular_velocity: Array
+    on_base: Array  # contact coordinates
+    on_body: Array
+    nearest: Array  # point of the base next to the asked one [m], base axes
+    out: Array  # normal out of the base [1], fixed axes
+    off_base: Array  # truth values: what is wrong
+    misses: Array
+    singular: Array
+    fits: Array
+    cuts: Array
+
+
+def _looseness(dtype) -> float:
+    """How far a user's rounded numbers may be off, relative [1]: half the digits."""
+    return 1e-6 if dtype == jnp.float64 else 1e-3
+
+
+def _number(dtype, name: str, value: Any, count: int, meaning: str) -> Array:
+    array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
+    return array if array.dtype == dtype else array.astype(dtype)
+
+
+def _fit(scene: Scene, asked: dict[str, Any], loose: float, time) -> _Fit:
+    base, body = scene.base.surface, scene.body.surface
+    orientation, point = asked["orientation"], asked["contact_on_base"]
+    if isinstance(base, (DiscEdge, Ring)) and asked["base_normal"] is not None:
+        on_base = base.at_edge(point, asked["base_normal"])
+    else:
+        on_base = base.locate(point)
+    ground = base.geometry(on_base)
+    orientation = orientation / norm(orientation)
+    rotation = rotation_matrix(orientation)
+    motion = scene.base.motion
+    to_base = body_to_base(rotation, None if motion is None else motion.at(time))
+    normal = -matvec_transposed(to_base, ground.normal)
+    point_of_normal = body.normal_map(base.is_flat)
+    if isinstance(body, AbstractPointSurface) and point_of_normal is None:
+        on_body = body.find_normal(normal, asked["near_on_body"])
+        shell = body.geometry(on_body)
+    else:
+        on_body = jnp.zeros(0, normal.dtype)
+        shell = from_normal(cast(PointOfNormal, point_of_normal), normal)
+    tangents = [matvec_transposed(to_base, ground.frame[:, a]) for a in range(2)]
+    mixing = jnp.stack(
+        [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
+    )
+    still = jax.lax.stop_gradient((shell, ground, mixing))
+    opening, curving = _opening(*still)
+    of_body = jnp.ones(2, normal.dtype)
+    if on_body.shape[0]:
+        of_body = body.units(on_body)
+    regular = jnp.minimum(
+        still[0].regularity_by(jax.lax.stop_gradient(of_body)),
+        still[1].regularity_by(jax.lax.stop_gradient(base.units(on_base))),
+    )
+    gap, reach, size, misfit = jax.lax.stop_gradient(
+        (
+            norm(point - ground.position),
+            norm(point),
+            norm(shell.position),
+            norm(shell.normal - normal),
+        )
+    )
+    rounding = jnp.finfo(point.dtype).eps
+    placed = jnp.all(jnp.isfinite(shell.position))
+    return _Fit(
+        orientation=orientation,
+        angular_velocity=matvec_transposed(rotation, asked["angular_velocity"]),
+        on_base=on_base,
+        on_body=on_body,
+        nearest=ground.position,
+        out=-matvec(rotation, normal),
+        # what it is moved by is little of the body, or a rounding of the place
+        off_base=~(gap <= loose * (reach + 10.0 * size)),
+        misses=~(placed & (misfit <= loose)) & jnp.all(jnp.isfinite(ground.frame)),
+        singular=~(regular > 1e-3 * loose),
+        fits=~(jnp.abs(curving) > 100 * rounding),  # a determinant of unit columns
+        cuts=~(opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
+    )
+
+
+def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
+    """How two touching surfaces part: least opening, and relative curvature.
+
+    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]`` (theory 8.1), lengths in radii of
+    the sharper surface, are scaled to unit length, so that edges and planes, large and
+    small bodies count alike; the determinant vanishes exactly where the surfaces fit.
+    The opening of a motion with equal travels ``L_b x_b = T L_c x_c`` is
+    ``(L_b x_b) . (K_b x_b + T K_c x_c)``.
+    """
+    K_b, L_b = -shell.frame_rates, shell.lengths
+    K_c, L_c = -mixing @ ground.frame_rates, mixing @ ground.lengths
+    radius = jnp.minimum(*(_size(L) / _size(K) for L, K in ((L_b, K_b), (L_c, K_c))))
+    radius = jnp.where(jnp.isfinite(radius), radius, 1.0)  # two planes: they fit
+    turns = jnp.concatenate([K_b, K_c], axis=1)
+    travels = jnp.concatenate([-L_b, L_c], axis=1) / radius
+    system = jnp.concatenate([turns, travels])
+    unit = 1.0 / jnp.linalg.norm(system, axis=0, keepdims=True)
+    system, turns, travels = system * unit, turns * unit, travels * unit
+    free = jnp.linalg.svd(travels)[2][2:].T
+    opening = (-travels[:, :2] @ free[:2]).T @ (turns @ free)
+    largest = jnp.max(jnp.abs(opening))
+    least = jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0]
+    return least / jnp.where(largest > 0, largest, 1.0), jnp.linalg.det(system)
+
+
+def _size(matrix: Array) -> Array:
+    return jnp.sqrt(jnp.sum(matrix * matrix))

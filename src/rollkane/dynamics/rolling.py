@@ -1,0 +1,184 @@
+"""Rolling without slipping: the formulation that `simulate` uses.
+
+One symmetric positive definite system per evaluation for angular acceleration and
+alpha'', on body axes, about the contact point (theory, section 4.1).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import dot, matvec, matvec_transposed
+from ..kinematics.contact import Contact, body_to_base, flight, rolling_contact
+from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..kinematics.voronets import AnyState, VoronetsState, chart_contact
+from .contact_laws import Solution, accelerations, momentum_rate
+from .mass_matrix import assemble
+from .scene import RubberRolling, Scene
+
+# a run towards Painleve's paradox ends just before it, with the normal force growing
+# over all
+LEAST_MARGIN = 1e-3
+
+
+def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
+    """The contact of a scene's body.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: In pole-free or in Voronets coordinates.
+
+    Returns:
+        The contact; for a Voronets state a ``ChartContact``.
+    """
+    if isinstance(state, FlyingState):
+        return flight(
+            state.orientation, state.angular_velocity, state.position, state.velocity
+        )
+    body, base = scene.body.surface, scene.base.surface
+    motion = scene.base.motion
+    moving = None if motion is None else motion.at(t)
+    if isinstance(state, VoronetsState):
+        return chart_contact(body, base, state, moving)
+    assert isinstance(state, State)
+    return rolling_contact(
+        body,
+        base,
+        state.orientation,
+        state.angular_velocity,
+        state.contact_on_base,
+        state.contact_on_body,
+        moving,
+        state.slip if isinstance(state, SlidingState) else None,
+        without_spin=isinstance(scene.contact, RubberRolling),
+    )
+
+
+def watches_headings(scene: Scene) -> bool:
+    """Whether a normal of a surface could pass where its inverse Gauss map jumps."""
+    return any(function is not None for function in _headings(scene))
+
+
+def _headings(scene: Scene) -> tuple:
+    """Of the body's normal and of the base's, what must not be reversed by a step."""
+    body, base = scene.body.surface, scene.base.surface
+    return body.normal_heading(base.is_flat), base.normal_heading(False)
+
+
+def headings(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> list[Float[Array, "2"]]:
+    """Parts of the normals that no step may reverse, for a scene that watches them.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: In contact.
+    """
+    of_body, of_base = _headings(scene)
+    body, base = scene.body.surface, scene.base.surface
+    if isinstance(state, VoronetsState):
+        out = base.chart_geometry(state.contact_on_base).normal
+        own = body.chart_geometry(state.contact_on_body).normal
+    else:
+        motion = scene.base.motion
+        moving = None if motion is None else motion.at(t)
+        to_base = body_to_base(rotation_matrix(state.orientation), moving)
+        out = base.geometry(state.contact_on_base).normal
+        own = -matvec_transposed(to_base, out)
+    both = (of_body, own), (of_base, out)
+    return [part(normal) for part, normal in both if part is not None]
+
+
+def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
+    """Rates of the state of a rolling body: the right-hand side itself.
+
+    Args:
+        scene: What rolls on what, carrying what, under which loads.
+        t: Time [s].
+        state: Where the body is and how it turns, in pole-free or in Voronets
+            coordinates.
+
+    Returns:
+        Rates of every number of the state [its unit / s], as a state.
+
+    Source: theory, section 4.1. Sign: the normal points out of each surface.
+    """
+    contact = contact_of(scene, t, state)
+    system = assemble(scene, t, state, contact)
+    return _rates(state, contact, accelerations(scene, t, contact, system))
+
+
+def _rates(state: AnyState, contact: Contact, solution: Solution) -> AnyState:
+    w_dot, alpha_ddot, slid, *_ = solution
+    if isinstance(state, (SlidingState, FlyingState)):
+        return state.rates(contact, w_dot, alpha_ddot, slid)
+    return state.rates(contact, w_dot, alpha_ddot)
+
+
+def rates_and_force(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"]]:
+    """Rates of the state, and the contact force by :func:`press_and_pull`, at once."""
+    contact, solution, force = _solved(scene, t, state)
+    return _rates(state, contact, solution), *_parted(contact, force)
+
+
+def slipping_rates(
+    scene: Scene, t: Float[Array, ""], state: SlidingState
+) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"], Float[Array, ""]]:
+    """As :func:`rates_and_force`, and the slip times the rate of its turn [m/s^2]."""
+    contact, solution, force = _solved(scene, t, state)
+    press, pull = _parted(contact, force)
+    turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
+    return _rates(state, contact, solution), press, pull, turn
+
+
+def contact_force(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, "3"]:
+    """Force of the base on the body [N], FIXED axes, shape (3,).
+
+    Source: theory, section 5, ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
+    dr_i/dalpha alpha'' + beta_i``.
+    """
+    return _solved(scene, t, state)[2]
+
+
+def press_and_pull(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """Normal force [N], negative where it pulls; force along the surface [N], FIXED."""
+    contact, _, force = _solved(scene, t, state)
+    return _parted(contact, force)
+
+
+def _parted(contact: Contact, force):
+    out = matvec(contact.rotation, contact.normal)
+    press = -dot(force, out)
+    return press, force + press * out
+
+
+def _solved(scene: Scene, t, state: AnyState):
+    """Contact, accelerations and contact force [N], fixed axes."""
+    contact = contact_of(scene, t, state)
+    system = assemble(scene, t, state, contact)
+    solution = accelerations(scene, t, contact, system)
+    force = momentum_rate(scene, contact, system).force(solution)
+    return contact, solution, matvec(contact.rotation, force)
+
+
+def painleve_margin(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> Float[Array, ""]:
+    """What the normal force is divided by [1]; infinite where friction has no part.
+
+    Where it is not positive no normal force fits the friction (Painleve's paradox):
+    rates are NaN there, and a run ends just before.
+
+    Source: theory, section 8.4.
+    """
+    _, solution, force = _solved(scene, t, state)
+    margin = solution.margin
+    return jnp.full((), jnp.inf, force.dtype) if margin is None else margin

@@ -1,0 +1,121 @@
+"""What integrating a rolling scene asks of it, whichever loop does it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..geometry.small_linear import norm
+from ..kinematics.voronets import CHART_EDGE, ChartContact, VoronetsState
+from ..validation.codes import Code, is_stuck
+from .rolling import (
+    LEAST_MARGIN,
+    contact_of,
+    headings,
+    painleve_margin,
+    watches_headings,
+)
+from .scene import Scene, Slipping
+
+# A run that ends at the end of a surface is as close to it as the clock's steps tell
+# [s], and the normal of a disc that lies down is this close to that of its face [rad].
+_AT_AN_EDGE, _FLAT = 1e-9, 1e-6
+
+
+def corners(scene: Scene) -> tuple[Any, bool]:
+    """Kinks of the base's motion [s], and whether its acceleration may jump there."""
+    motion = scene.base.motion
+    return (None, False) if motion is None else (motion.kinks, motion.jumps)
+
+
+def error_sizes(state: Any) -> Any:
+    """Sizes of a state's numbers, for the default absolute tolerance.
+
+    Those of the angular velocity are its length: of a body that spins fast no component
+    is known better than the rounding of the largest.
+    """
+    w = state.angular_velocity
+    fast = jnp.maximum(norm(w), 1.0)
+    fast = jnp.where(jnp.isfinite(fast), fast, 1.0)  # a bad start is refused elsewhere
+    ones = jax.tree.map(jnp.ones_like, state)
+    return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
+
+
+def unbroken(scene: Scene, state: Any) -> Callable | None:
+    """What no step may reverse; None: nothing. See ``dynamics.rolling.headings``."""
+    del state
+    return headings if watches_headings(scene) else None
+
+
+def has_margin(scene: Scene) -> bool:
+    """Whether something is proportional to the normal force."""
+    law = scene.contact
+    slips = isinstance(law, Slipping) and law.friction.needs_normal_force
+    return slips or any(load.needs_normal_force for load in scene.loads)
+
+
+def explains_ends(scene: Scene, state: Any) -> bool:
+    """Whether a run that got stuck may have a reason that the scene tells."""
+    in_charts = isinstance(state, VoronetsState)
+    return in_charts or has_margin(scene) or has_edges(scene)
+
+
+def has_edges(scene: Scene) -> bool:
+    """Whether a contact may come to the end of a surface."""
+    surfaces = scene.body.surface, scene.base.surface
+    ends = any(_ends(surface) for surface in surfaces)
+    return ends or watches_headings(scene)
+
+
+def _ends(surface: Any) -> bool:
+    like = jax.ShapeDtypeStruct((surface.coordinate_count,), float)
+    return jax.eval_shape(surface.extent, like) is not None
+
+
+@jax.jit
+def explained(code: Array, scene: Scene, t: Array, state: Any) -> Array:
+    """The code of a run, where it got stuck by what stopped it.
+
+    Args:
+        code: One of :class:`rollkane.Code`.
+        scene: What rolls on what.
+        t: Time that was reached [s].
+        state: State that was reached.
+    """
+    stuck = is_stuck(code)
+    contact = contact_of(scene, t, state)
+    if isinstance(contact, ChartContact):
+        at_chart = contact.regularity < 2.0 * CHART_EDGE
+        code = jnp.where(stuck & at_chart, Code.CHART_EDGE, code)
+    if has_edges(scene):
+        at_end = stuck & at_an_edge(scene, t, state)
+        code = jnp.where(at_end, Code.SURFACE_EDGE, code)
+    if has_margin(scene):
+        jams = painleve_margin(scene, t, state) < LEAST_MARGIN
+        code = jnp.where(stuck & jams, Code.PAINLEVE, code)
+    return code
+
+
+def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
+    """Whether a contact has come to the end of a surface."""
+    body, base = scene.body.surface, scene.base.surface
+    in_charts = isinstance(state, VoronetsState)
+    of = lambda surface: surface.chart_extent if in_charts else surface.extent
+    contact = contact_of(scene, t, state)
+    places = [(of(base), state.contact_on_base, contact.base_rates)]
+    if scene.carries_point or in_charts:
+        places.append((of(body), state.contact_on_body, contact.body_rates))
+    found = jnp.asarray(False)
+    for extent, u, rates in places:
+        if extent(u) is None:
+            continue
+        left, rate = jax.jvp(extent, (u,), (rates,))
+        soon = left <= -rate * _AT_AN_EDGE * (1.0 + jnp.abs(t))
+        found |= soon | (left <= 0.0)
+    if watches_headings(scene):
+        for vector in headings(scene, t, state):
+            found |= norm(vector) < _FLAT
+    return found

@@ -1,0 +1,226 @@
+"""A scene: which body rolls on which base, under which loads.
+
+What a scene does not name costs nothing: it is no part of the traced program.
+"""
+
+import equinox as eqx
+
+from ..geometry.surfaces import AbstractSurface, Plane
+from ..kinematics.base_motion import AbstractBaseMotion
+from ..validation.checks import FieldError
+from .bodies import Body
+from .friction import AbstractFriction, ViscousFriction
+from .loads import AbstractLoad, Gravity
+from .supported import AbstractSupported
+
+
+class Rolling(eqx.Module):
+    """Contact law: rolling without slipping, turning about the normal allowed.
+
+    Bilateral: a motion that pulls runs on, and the result says when that began.
+    """
+
+    @property
+    def one_sided(self) -> bool:
+        """Whether dry resistance goes with the sign of the normal force, not its size.
+
+        Smoothly through its zero, for a run that ends the contact there.
+        """
+        return False
+
+    @property
+    def does_work(self) -> bool:
+        """False: the contact force does not move."""
+        return False
+
+
+class RubberRolling(Rolling):
+    """Contact law: rolling without slipping and without turning about the normal.
+
+    Relative to the base; a spin about the normal in a start is left out.
+
+    Source: theory, section 8.2.
+    """
+
+
+class Slipping(eqx.Module):
+    """Contact law: the contact holds, but the body slips on it, against friction.
+
+    Bilateral, like rolling: where the contact pulls, friction acts with the size of the
+    normal force.
+
+    Attributes:
+        friction: ``ViscousFriction``, ``CoulombFriction`` or ``StribeckFriction``.
+
+    Source: theory, section 8.4.
+    """
+
+    friction: AbstractFriction
+
+    def __init__(self, friction: AbstractFriction | None = None):
+        """Make the law.
+
+        Args:
+            friction: A friction law; ``ViscousFriction(0.0)``, a smooth surface, when
+                left out.
+
+        Raises:
+            FieldError: something else.
+        """
+        friction = ViscousFriction(0.0) if friction is None else friction
+        remedy = "give ViscousFriction, CoulombFriction or StribeckFriction"
+        _require("Slipping.friction", friction, AbstractFriction, remedy)
+        self.friction = friction
+
+    @property
+    def does_work(self) -> bool:
+        """True: friction takes energy."""
+        return True
+
+
+class Flying(eqx.Module):
+    """No contact: the body flies under its loads (a mode of a run with ``modes``)."""
+
+    @property
+    def does_work(self) -> bool:
+        """False."""
+        return False
+
+
+class Base(eqx.Module):
+    """What the body rolls on.
+
+    Attributes:
+        surface: Surface, base axes; they coincide with the fixed axes at rest.
+        motion: How it moves, or None: a base at rest.
+    """
+
+    surface: AbstractSurface
+    motion: AbstractBaseMotion | None
+
+    def __init__(
+        self,
+        surface: AbstractSurface | None = None,
+        motion: AbstractBaseMotion | None = None,
+    ):
+        """Make a base.
+
+        Args:
+            surface: Surface in base axes; ``Plane()`` when left out.
+            motion: ``BaseMotion``, ``Spin`` or ``RecordedMotion``; left out, a base at
+                rest, whose axes are the fixed axes.
+
+        Raises:
+            FieldError: no surface, or something else for a motion.
+        """
+        surface = Plane() if surface is None else surface
+        if not isinstance(surface, AbstractSurface):
+            raise FieldError(
+                "Base.surface",
+                surface,
+                "must be a surface",
+                "give one of the catalogue, for example Plane()",
+            )
+        if not (motion is None or isinstance(motion, AbstractBaseMotion)):
+            raise FieldError(
+                "Base.motion",
+                motion,
+                "must be a motion",
+                "give BaseMotion(position, rotation), Spin(rate), "
+                "RecordedMotion(time, acceleration) or None: a base at rest",
+            )
+        self.surface = surface
+        self.motion = motion
+
+
+class Scene(eqx.Module):
+    """A body on a base, with what it supports and what acts on it.
+
+    Attributes:
+        body: The rolling body.
+        base: What it rolls on.
+        supported: Masses and bodies that it carries, in the order of their
+            coordinates in alpha.
+        loads: What acts on it and on what it carries.
+        contact: The contact law.
+        carries_point: Whether the state holds the contact point on the body; False
+            where it follows from the normal.
+    """
+
+    body: Body
+    base: Base
+    supported: tuple[AbstractSupported, ...]
+    loads: tuple[AbstractLoad, ...]
+    contact: Rolling | Slipping | Flying
+    carries_point: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        body: Body,
+        base: Base | None = None,
+        supported=(),
+        loads=None,
+        contact: Rolling | Slipping | None = None,
+    ):
+        """Make a scene.
+
+        Args:
+            body: The rolling body.
+            base: What it rolls on; a horizontal plane at rest when left out.
+            supported: ``PointMasses``, ``SupportedBody`` or ``Prescribed``, one or a
+                tuple of them.
+            loads: Forces; ``(Gravity(),)`` when left out, ``()`` for none.
+            contact: The contact law; ``Rolling()`` when left out.
+
+        Raises:
+            FieldError: a part of another kind.
+        """
+        base = Base() if base is None else base
+        loads = (Gravity(),) if loads is None else loads
+        contact = Rolling() if contact is None else contact
+        _require("Scene.body", body, Body, "give a Body")
+        _require("Scene.base", base, Base, "give a Base, for example Base(Plane())")
+        remedy = "give Rolling(), RubberRolling() or Slipping(friction)"
+        _require("Scene.contact", contact, (Rolling, Slipping), remedy)
+        if isinstance(loads, AbstractLoad):
+            loads = (loads,)
+        _require("Scene.loads", loads, (tuple, list), "give a tuple of loads")
+        for i, load in enumerate(loads):
+            _require(
+                f"Scene.loads[{i}]",
+                load,
+                AbstractLoad,
+                "give Gravity(), or () for none",
+            )
+        if isinstance(supported, AbstractSupported):
+            supported = (supported,)
+        _require("Scene.supported", supported, (tuple, list), "give a tuple of parts")
+        for i, part in enumerate(supported):
+            remedy = "give PointMasses, SupportedBody or Prescribed"
+            _require(f"Scene.supported[{i}]", part, AbstractSupported, remedy)
+        self.body, self.base, self.contact = body, base, contact
+        self.loads, self.supported = tuple(loads), tuple(supported)
+        self.carries_point = body.surface.normal_map(base.surface.is_flat) is None
+
+    @property
+    def coordinate_count(self) -> int:
+        """Number n of coordinates alpha of all that is supported."""
+        return sum(part.count for part in self.supported)
+
+    @property
+    def does_work(self) -> bool:
+        """Whether anything but the base's motion may change the energy."""
+        active = any(part.does_work for part in (*self.supported, *self.loads))
+        return active or self.contact.does_work
+
+
+def under(scene: Scene, law, loads=None) -> Scene:
+    """A scene under another contact law, and with other loads if they are given."""
+    alone = lambda x: x is scene.contact or x is scene.loads
+    parts = law, scene.loads if loads is None else loads
+    return eqx.tree_at(lambda s: (s.contact, s.loads), scene, parts, is_leaf=alone)
+
+
+def _require(field: str, value, kind, remedy: str) -> None:
+    if not isinstance(value, kind):
+        raise FieldError(field, value, f"cannot be a {type(value).__name__}", remedy)

@@ -1,0 +1,392 @@
+"""What the rolling body carries: point masses and rigid bodies that move inside it.
+
+Each gives at one instant a :class:`Carried` value: where its masses are, how they move
+relative to the body, and by how much a unit of each coordinate moves them. The
+mechanics needs nothing else.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import components, dot, matmul
+from ..validation.checks import FieldError, positive
+from ..validation.user_functions import (
+    UserFunction,
+    as_time,
+    check_output,
+    check_rotation,
+)
+from .bodies import checked_inertia
+from .coordinate_functions import functions_of, moved
+
+
+class Turning(eqx.Module):
+    """Rotation of a carried rigid body at one instant, on BODY axes.
+
+    Attributes:
+        rotation: From its own to body axes [1], shape (3, 3).
+        inertia: About its own mass centre [kg m^2], shape (3, 3).
+        velocity: ``w_r``, relative to the rolling body [rad/s], shape (3,).
+        bias: ``w_r*`` at alpha'' = 0, relative rate of it [rad/s^2], shape (3,).
+        partials: ``dw_r/dalpha'^s`` [rad per unit of alpha], each of shape (3,).
+    """
+
+    rotation: Float[Array, "3 3"]
+    inertia: Float[Array, "3 3"]
+    velocity: Float[Array, "3"]
+    bias: Float[Array, "3"]
+    partials: tuple[Float[Array, "3"], ...]
+
+
+class Carried(eqx.Module):
+    """Masses inside the rolling body at one instant, on BODY axes, from its origin.
+
+    Attributes:
+        mass: [kg], shape (k,).
+        place: ``r`` [m], shape (3, k).
+        velocity: ``r*`` relative to the body [m/s], shape (3, k).
+        bias: ``r**`` at alpha'' = 0 [m/s^2], shape (3, k).
+        partials: ``dr/dalpha^s`` [m per unit of alpha], each of shape (3, k); empty
+            where the motion is prescribed.
+        turning: Rotation of a rigid body (then k = 1); None for point masses.
+
+    Source: theory, section 4.1.
+    """
+
+    mass: Float[Array, " k"]
+    place: Float[Array, "3 k"]
+    velocity: Float[Array, "3 k"]
+    bias: Float[Array, "3 k"]
+    partials: tuple[Float[Array, "3 k"], ...]
+    turning: Turning | None = None
+
+
+class AbstractSupported(eqx.Module):
+    """Something carried, with ``count`` coordinates alpha."""
+
+    count: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def carried(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
+        """Its masses at one instant."""
+
+    @abc.abstractmethod
+    def generalized_force(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Float[Array, " n"] | None:
+        """``Q_s`` of springs, dampers and motors [J per unit of alpha]; None: none.
+
+        The part with a potential is not in it.
+        """
+
+    @abc.abstractmethod
+    def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
+        """Energy of its springs [J]; None where it gives no potential."""
+
+    @property
+    @abc.abstractmethod
+    def does_work(self) -> bool:
+        """Whether it gives energy to the system or takes some, springs excepted."""
+
+
+class _Driven(AbstractSupported):
+    """What both kinds share: functions of their coordinates, force and potential."""
+
+    mass: eqx.AbstractVar[Array]
+    position: eqx.AbstractVar[UserFunction]
+    force: eqx.AbstractVar[UserFunction | None]
+    potential: eqx.AbstractVar[UserFunction | None]
+
+    def generalized_force(self, t, alpha, alpha_dot):
+        """``Q_s`` of the user's force [J per unit of alpha]."""
+        if self.force is None:
+            return None
+        arguments = jnp.concatenate([as_time(t)[None], alpha, alpha_dot])
+        return self.force(arguments)
+
+    def potential_energy(self, alpha):
+        """The user's potential [J]."""
+        return None if self.potential is None else self.potential(alpha)
+
+    @property
+    def does_work(self) -> bool:
+        """Whether the user gave a force."""
+        return self.force is not None
+
+
+class PointMasses(_Driven):
+    """Point masses whose places in the body are functions of coordinates alpha.
+
+    Attributes:
+        mass: [kg], shape (k,).
+        position: The user's function alpha -> (k, 3) [m], body axes.
+        force: The user's generalized forces, or None.
+        potential: The user's potential energy, or None.
+        count: Number of coordinates n.
+    """
+
+    mass: Float[Array, " k"]
+    position: UserFunction
+    force: UserFunction | None
+    potential: UserFunction | None
+    count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mass,
+        position: Callable,
+        force: Callable | None = None,
+        potential: Callable | None = None,
+        parameters: Any = None,
+        coordinates: int | None = None,
+    ):
+        """Make point masses.
+
+        Args:
+            mass: [kg], shape (k,), positive; one number for a single mass.
+            position: ``position(alpha)`` or ``position(alpha, parameters)`` with alpha
+                of shape (n,) -> (k, 3) [m], from the body origin, body axes; written
+                with jax.numpy and twice differentiable.
+            force: ``force(t, alpha, alpha_dot)`` (then parameters) -> (n,),
+                generalized forces of springs, dampers and motors [J per unit of
+                alpha]; left out, none. Loads of the scene, such as gravity, are not
+                to be repeated in it.
+            potential: ``potential(alpha)`` (then parameters) -> energy of springs [J];
+                its forces are added, and it counts in the energy.
+            parameters: Tree of numbers that the functions depend on; differentiable.
+            coordinates: n; left out, it is found from the functions.
+
+        Raises:
+            FieldError: masses that are not positive, functions whose shapes do not
+                fit, a number of coordinates that cannot be found.
+        """
+        if np.ndim(mass) == 0 and not isinstance(mass, (str, bool, type(None))):
+            mass = [mass]
+        self.mass = positive("PointMasses.mass", mass, (None,), "masses in kg, (k,)")
+        shapes = {"position": (self.mass.shape[0], 3)}
+        given = {"position": position, "force": force, "potential": potential}
+        made = functions_of("PointMasses", given, shapes, parameters, coordinates)
+        self.count = made.count
+        self.position = made.functions["position"]
+        self.force = made.functions["force"]
+        self.potential = made.functions["potential"]
+
+    def carried(self, t, alpha, alpha_dot) -> Carried:
+        """The masses at one instant; the positions are differentiated here, once."""
+        del t
+        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
+        return Carried(
+            self.mass, place.T, velocity.T, bias.T, tuple(p.T for p in partials)
+        )
+
+
+class SupportedBody(_Driven):
+    """A rigid body carried inside, with coordinates alpha of its own.
+
+    Attributes:
+        mass: [kg].
+        inertia: About its own mass centre, its own axes [kg m^2], shape (3, 3).
+        position: The user's function alpha -> (3,) [m], body axes: its mass centre.
+        rotation: The user's function alpha -> (3, 3), its axes to body axes.
+        force: The user's generalized forces, or None.
+        potential: The user's potential energy, or None.
+        count: Number of coordinates n.
+
+    Source: theory, section 4.2, for positions and rotations that may both depend on
+    every coordinate.
+    """
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    position: UserFunction
+    rotation: UserFunction
+    force: UserFunction | None
+    potential: UserFunction | None
+    count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        mass,
+        inertia,
+        position: Callable,
+        rotation: Callable,
+        force: Callable | None = None,
+        potential: Callable | None = None,
+        parameters: Any = None,
+        coordinates: int | None = None,
+    ):
+        """Make a carried body.
+
+        Args:
+            mass: [kg], positive.
+            inertia: Tensor about its own mass centre, its own axes [kg m^2], (3, 3).
+            position: ``position(alpha)`` (then parameters) -> its mass centre [m],
+                (3,), from the rolling body's origin, body axes.
+            rotation: ``rotation(alpha)`` (then parameters) -> (3, 3), the rotation from
+                its own axes to body axes [1].
+            force: ``force(t, alpha, alpha_dot)`` (then parameters) -> (n,),
+                generalized forces [J per unit of alpha]; left out, none.
+            potential: ``potential(alpha)`` (then parameters) -> energy of springs [J];
+                its forces are added, and it counts in the energy.
+            parameters: Tree of numbers that the functions depend on; differentiable.
+            coordinates: n; left out, it is found from the functions.
+
+        Raises:
+            FieldError: numbers that no body can have, functions whose shapes do not
+                fit, a number of coordinates that cannot be found.
+        """
+        self.mass = positive("SupportedBody.mass", mass, (), "the mass in kg")
+        self.inertia = checked_inertia("SupportedBody.inertia", inertia)
+        shapes = {"position": (3,), "rotation": (3, 3)}
+        given = {
+            "position": position,
+            "rotation": rotation,
+            "force": force,
+            "potential": potential,
+        }
+        made = functions_of("SupportedBody", given, shapes, parameters, coordinates)
+        self.count = made.count
+        self.position = made.functions["position"]
+        self.rotation = made.functions["rotation"]
+        check_rotation(
+            "SupportedBody.rotation",
+            self.rotation,
+            np.outer([0.0, 0.3, -1.1], 1.0 + 0.4 * np.arange(made.count)),
+            "its own axes on body axes",
+        )
+        self.force = made.functions["force"]
+        self.potential = made.functions["potential"]
+
+    def carried(self, t, alpha, alpha_dot) -> Carried:
+        """The body at one instant."""
+        del t
+        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
+        turned = moved(self.rotation, alpha, alpha_dot)
+        return Carried(
+            self.mass[None],
+            place[:, None],
+            velocity[:, None],
+            bias[:, None],
+            tuple(p[:, None] for p in partials),
+            _turning(self.inertia, *turned),
+        )
+
+
+class Prescribed(AbstractSupported):
+    """Something carried whose coordinates are given functions of time.
+
+    Attributes:
+        supported: What is carried.
+        motion: The user's function t -> alpha, (n,).
+        count: 0: no coordinate is left to be found.
+    """
+
+    supported: PointMasses | SupportedBody
+    motion: UserFunction
+    count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        supported: PointMasses | SupportedBody,
+        motion: Callable,
+        parameters: Any = None,
+    ):
+        """Prescribe a motion.
+
+        Args:
+            supported: ``PointMasses`` or ``SupportedBody``; its force is whatever the
+                motion needs, and its own is not used.
+            motion: ``motion(t)`` (then parameters) -> alpha, shape (n,), of the time
+                t [s]; twice differentiable.
+            parameters: Tree of numbers that it depends on; differentiable.
+
+        Raises:
+            FieldError: something else, or a motion of another shape.
+        """
+        if not isinstance(supported, (PointMasses, SupportedBody)):
+            raise FieldError(
+                "Prescribed.supported",
+                supported,
+                "must be PointMasses or a SupportedBody",
+                "give what moves, then its motion",
+            )
+        self.supported, self.count = supported, 0
+        field = "Prescribed.motion"
+        self.motion = UserFunction(field, motion, 1, parameters)
+        check_output(field, self.motion, jnp.zeros(1), (supported.count,))
+
+    def carried(self, t, alpha, alpha_dot) -> Carried:
+        """The masses at one instant, without coordinates."""
+        del alpha, alpha_dot
+        t = as_time(t)
+
+        def rate(t):
+            return jax.jvp(lambda t: self.motion(t[None]), (t,), (jnp.ones_like(t),))
+
+        (alpha, alpha_dot), (_, second) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
+        own = self.supported.carried(t, alpha, alpha_dot)
+        pushes = components(second)
+        turning = own.turning
+        if turning is not None:
+            bias = _pushed(turning.bias, turning.partials, pushes)
+            turning = dataclasses.replace(turning, bias=bias, partials=())
+        bias = _pushed(own.bias, own.partials, pushes)
+        return Carried(own.mass, own.place, own.velocity, bias, (), turning)
+
+    def generalized_force(self, t, alpha, alpha_dot):
+        """None: the drive gives whatever force the motion needs."""
+        del t, alpha, alpha_dot
+
+    def potential_energy(self, alpha):
+        """None: what the drive stores is not counted."""
+        del alpha
+
+    @property
+    def does_work(self) -> bool:
+        """True: the drive does."""
+        return True
+
+
+def _pushed(bias: Array, partials: tuple[Array, ...], accelerations: list) -> Array:
+    """Bias with prescribed accelerations of the coordinates."""
+    for partial, acceleration in zip(partials, accelerations, strict=True):
+        bias = bias + partial * acceleration
+    return bias
+
+
+def _turning(inertia, R, R_dot, R_ddot, partials) -> Turning:
+    """Relative rotation on body axes: ``dR R^T = skew(dw)``."""
+
+    def entry(rates, i, j):
+        return dot(rates[i], R[j])
+
+    def spin(rates):
+        return jnp.stack([entry(rates, 2, 1), entry(rates, 0, 2), entry(rates, 1, 0)])
+
+    w = components(spin(R_dot))
+    products = jnp.stack([w[1] * w[2], w[2] * w[0], w[0] * w[1]])
+    return Turning(
+        rotation=R,
+        inertia=matmul(matmul(R, inertia), R.T),
+        velocity=jnp.stack(w),
+        bias=spin(R_ddot) - products,
+        partials=tuple(spin(partial) for partial in partials),
+    )
+
+
+def total(vectors: Float[Array, "3 k"]) -> Float[Array, "3"]:
+    """Sum over the masses; unrolled where they are few."""
+    columns = components(vectors.T) if vectors.shape[1] <= 8 else None
+    if columns is None:
+        return jnp.sum(vectors, axis=1)
+    return sum(columns[1:], columns[0])

@@ -1,0 +1,182 @@
+"""A trajectory as a labelled data set, and as a NetCDF file.
+
+Needs the extra ``rollkane[results]`` (xarray, h5netcdf, h5py).
+"""
+
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array
+
+from .. import __version__
+from ..dynamics.scene import Slipping
+from ..simulation.trajectory import Trajectory
+from .atomic_file import write_whole
+
+if TYPE_CHECKING:
+    import xarray
+
+_AXIS = ("axis",)
+# name: (dimensions behind time, what it is, unit, axes)
+_VARIABLES = {
+    "position": (_AXIS, "body origin", "m", "fixed"),
+    "orientation": (
+        ("quaternion",),
+        "unit quaternion, scalar first, body to fixed axes",
+        "1",
+        "body to fixed",
+    ),
+    "angular_velocity": (_AXIS, "angular velocity", "rad/s", "fixed"),
+    "contact_on_body": (_AXIS, "contact point from the body origin", "m", "body"),
+    "contact_on_base": (_AXIS, "contact point on the base", "m", "base"),
+    "contact_force": (_AXIS, "force of the base on the body", "N", "fixed"),
+    "normal_force": ((), "normal force, positive while pressed together", "N", ""),
+    "friction_ratio": ((), "friction coefficient that rolling needs", "1", ""),
+    "energy": ((), "kinetic plus potential energy", "J", ""),
+}
+_MOVING = {
+    "base_position": (_AXIS, "base origin", "m", "fixed"),
+    "base_rotation": (
+        ("axis", "base_axis"),
+        "rotation matrix, base to fixed axes",
+        "1",
+        "base to fixed",
+    ),
+    "moving_energy": ((), "energy less v_Oc . P and w_c . J", "J", ""),
+}
+_WORK = {"power": ((), "rate at which energy is given to the system", "W", "")}
+_SLIDING = {"slip": (_AXIS, "velocity of the body over the base", "m/s", "fixed")}
+_SUPPORTED = {
+    "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
+    "alpha_dot": (("coordinate",), "their rates", "", ""),
+}
+
+
+def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
+    """A trajectory with names, units and axes.
+
+    Args:
+        trajectory: One run, or a batch of runs.
+
+    Returns:
+        Variables over ``time`` [s]: ``position``, ``orientation``,
+        ``angular_velocity``, ``contact_on_body``, ``contact_on_base``,
+        ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
+        something is supported ``alpha`` and ``alpha_dot``; where the base moves
+        ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
+        slips ``slip``; where the energy may change ``power``.
+        Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
+        ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
+        ``lane_1``, ... if there are several batch axes), and how each lane ended are
+        variables over it. What was not reached is NaN.
+
+    Raises:
+        ImportError: xarray is not installed.
+    """
+    xarray = _imported("xarray")
+    lanes = _lanes(trajectory)
+    time = np.asarray(trajectory.time)
+    first = time.reshape(-1, time.shape[-1])[0]
+    # one clock for all lanes is a coordinate; different clocks are data
+    shared = bool(np.all((time == first) | (np.isnan(time) & np.isnan(first))))
+    along = "time" if shared else "sample"
+    described = dict(_VARIABLES)
+    moving = trajectory.scene.base.motion is not None
+    if moving:
+        described |= _MOVING
+    scene = trajectory.scene
+    if moving or scene.supported or scene.does_work:
+        described |= _WORK
+    if isinstance(scene.contact, Slipping):
+        described |= _SLIDING
+    if trajectory.state.alpha.shape[-1]:
+        described |= _SUPPORTED
+    values = _values(trajectory, tuple(described))
+    variables = {
+        name: ((*lanes, along, *behind), np.asarray(values[name]), _labels(*labels))
+        for name, (behind, *labels) in described.items()
+    }
+    coordinates: dict[str, Any] = {
+        "axis": ("axis", ["x", "y", "z"]),
+        "quaternion": ("quaternion", ["w", "x", "y", "z"]),
+        "time": (
+            (along,) if shared else (*lanes, along),
+            first if shared else time,
+            {"long_name": "time", "units": "s"},
+        ),
+    }
+    attributes: dict[str, Any] = {
+        "title": "motion of a rigid body that "
+        + (
+            "slips" if isinstance(scene.contact, Slipping) else "rolls without slipping"
+        ),
+        "rollkane_version": __version__,
+        "axes_note": "right-handed; base axes "
+        + ("by base_rotation" if moving else "coincide with the fixed axes"),
+    }
+    if moving:
+        coordinates["base_axis"] = ("base_axis", ["x", "y", "z"])
+    ends = _ends(trajectory)
+    if lanes:
+        variables |= {name: (lanes, value) for name, value in ends.items()}
+    else:
+        attributes |= {name: value.item() for name, value in ends.items()}
+        attributes["reason"] = trajectory.reason
+    return xarray.Dataset(variables, coordinates, attributes)
+
+
+def write_netcdf(
+    run: "Trajectory | xarray.Dataset", path: str | os.PathLike[str]
+) -> None:
+    """Write a NetCDF-4 file, whole or not at all.
+
+    Args:
+        run: A trajectory, or a data set made from one.
+        path: The file; replaced if it exists. Its folder must exist.
+
+    Raises:
+        ImportError: xarray, h5netcdf or h5py is not installed.
+        OSError: the folder does not exist, or cannot be written to.
+    """
+    for module in ("xarray", "h5netcdf", "h5py"):
+        _imported(module)
+    dataset: Any = to_xarray(run) if isinstance(run, Trajectory) else run
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / "run.nc"
+        dataset.to_netcdf(part, engine="h5netcdf")
+        write_whole(path, part.read_bytes())
+
+
+def _imported(module: str) -> Any:
+    try:
+        return __import__(module)
+    except ImportError as error:
+        raise ImportError(
+            f"{module} is needed for this and is not installed: "
+            "pip install 'rollkane[results]'"
+        ) from error
+
+
+@eqx.filter_jit
+def _values(trajectory: Trajectory, names: tuple[str, ...]) -> dict[str, Array]:
+    """All variables in one program: parts that they share are computed once."""
+    return {name: getattr(trajectory, name) for name in names}
+
+
+def _lanes(trajectory: Trajectory) -> tuple[str, ...]:
+    count = trajectory.code.ndim
+    return ("lane",) if count == 1 else tuple(f"lane_{i}" for i in range(count))
+
+
+def _labels(long_name: str, units: str, axes: str) -> dict[str, str]:
+    labels = {"long_name": long_name, "units": units, "axes": axes}
+    return {name: text for name, text in labels.items() if text}
+
+
+def _ends(trajectory: Trajectory) -> dict[str, np.ndarray]:
+    names = ("code", "steps", "rejected_steps", "final_time")
+    return {name: np.asarray(getattr(trajectory, name)) for name in names}

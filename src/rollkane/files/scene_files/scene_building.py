@@ -1,0 +1,227 @@
+"""From checked tables to a scene and its start, with every refusal put in its place.
+
+Each part is made by its own constructor. What a constructor refuses is noted at the
+field of the file, a stand-in takes that field's place, and the constructor is asked
+again, so that all bad fields of all parts are known at once.
+"""
+
+import functools
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...dynamics.bodies import Body
+from ...dynamics.placement import place
+from ...dynamics.scene import Base, Scene, Slipping, under
+from ...geometry.surfaces import (
+    AbstractSurface,
+    Cone,
+    Cylinder,
+    DiscEdge,
+    Ellipsoid,
+    Graph,
+    Implicit,
+    Parametric,
+    Plane,
+    Revolution,
+    Ring,
+    Sphere,
+    Torus,
+)
+from ...hybrid.modes import Modes
+from ...integration.integrate import LOOSEST
+from ...kinematics.coordinates import State
+from ...validation.checks import FieldError
+from .checking import likely_kind
+from .construction import attempt, noting, product_of_turns, usable
+from .formulas import Formula
+from .load_building import contact_of, loads_of, modes_of
+from .motion_building import checked_formulas, motion_of, supported_of
+from .positions import Path
+from .problems import Report
+from .tables import SURFACES, StartTable
+
+_CATALOGUE = {
+    "plane": Plane,
+    "sphere": Sphere,
+    "ellipsoid": Ellipsoid,
+    "torus": Torus,
+    "cylinder": Cylinder,
+    "cone": Cone,
+    "disc-edge": DiscEdge,
+    "ring": Ring,
+}
+# kind -> (constructor, its argument, fields with formulas, coordinates)
+_BY_FORMULA = {
+    "graph": (Graph, "f", ("f",), ("x", "y")),
+    "revolution": (Revolution, "profile", ("radius", "height"), ("s",)),
+    "parametric": (Parametric, "position", ("x", "y", "z"), ("q1", "q2")),
+    "implicit": (Implicit, "f", ("f",), ("x", "y", "z")),
+}
+_UNTURNED = (1.0, 0.0, 0.0, 0.0)
+
+
+def build(report: Report) -> tuple[Scene, State, Modes | None] | None:
+    """Make what a file describes, and note what the library refuses.
+
+    Args:
+        report: Knows the file, its checked tables and what is wrong with it.
+
+    Returns:
+        The scene, its start and its modes, or None where something was wrong.
+    """
+    body = _body(report)
+    base = _base(report)
+    loads, law = loads_of(report), contact_of(report)
+    modes = modes_of(report)
+    supported = supported_of(report)
+    _check_tolerance(report)
+    scene = None
+    found = base is not None and loads is not None and supported is not None
+    if body is not None and law is not None and found:
+        scene = Scene(body, base, supported, loads, law)
+    start = _start(scene, report)
+    if scene is None or start is None:
+        return None
+    return scene, start, modes
+
+
+def _body(report: Report) -> Body | None:
+    surface = _surface(("body", "surface"), report)
+    if not isinstance(report.document.get("body"), dict):
+        return None
+    numbers = ("mass", "center_of_mass", "inertia")
+    arguments = usable(("body",), numbers, ("mass", "inertia"), report)
+    arguments["surface"] = Sphere(1.0) if surface is None else surface
+    body = attempt(Body, arguments, noting(("body",), numbers, report))
+    return None if report.has_below(("body",)) else body
+
+
+def _base(report: Report) -> Base | None:
+    if "base" not in report.document:
+        return Base()
+    surface = _surface(("base", "surface"), report)
+    motion = motion_of(report)
+    return (
+        None
+        if report.has_below(("base",)) or surface is None
+        else Base(surface, motion)
+    )
+
+
+def _surface(path: Path, report: Report) -> AbstractSurface | None:
+    owner = report.document.get(path[0])
+    table = owner.get(path[1]) if isinstance(owner, dict) else None
+    if not isinstance(table, dict):
+        return None
+    kind = likely_kind(table)
+    if kind is None:
+        return None
+    fields = SURFACES[kind].model_fields
+    required = {name for name, field in fields.items() if field.is_required()}
+    if kind in _CATALOGUE:
+        make = _CATALOGUE[kind]
+        arguments = usable(path, set(fields) - {"kind"}, required - {"kind"}, report)
+    else:
+        make, argument, texts, coordinates = _BY_FORMULA[kind]
+        names = set(fields) - {"kind", "parameters", *texts}
+        arguments = usable(path, names, (), report)
+        formula = _formula(path, texts, coordinates, report)
+        arguments[argument] = formula
+        if formula.parameters:
+            arguments["parameters"] = table["parameters"]
+    surface = attempt(make, arguments, noting(path, tuple(fields), report))
+    return None if report.has_below(path) else surface
+
+
+def _formula(
+    path: Path, fields: tuple[str, ...], coordinates: tuple[str, ...], report: Report
+) -> Formula:
+    """The formulas of a surface; zero where one of them cannot be read."""
+    table = report.value(path)
+    where = [((*path, field), table.get(field)) for field in fields]
+    return checked_formulas(path, where, coordinates, report)
+
+
+def _check_tolerance(report: Report) -> None:
+    run = report.document.get("run")
+    if not isinstance(run, dict) or "rtol" not in run:
+        return
+    dtype = jnp.result_type(float)
+    least = 10 * float(jnp.finfo(dtype).eps)
+    if report.has_below(("run", "rtol")):
+        return
+    if run["rtol"] < least:
+        problem = f"is below what {dtype} can hold"
+        report.add(("run", "rtol"), problem, f"give {least:.1g} or more")
+    elif run["rtol"] > LOOSEST:
+        problem = f"is above {LOOSEST:g}: it leaves no digit of the motion right"
+        report.add(("run", "rtol"), problem, "give 1e-9 for instance")
+
+
+def _start(scene: Scene | None, report: Report) -> State | None:
+    if not isinstance(report.document.get("start"), dict):
+        return None
+    given = usable(("start",), StartTable.model_fields, (), report)
+    if "rotations" in given:
+        orientation = product_of_turns(given["rotations"])
+    else:
+        orientation = given.get("orientation", _UNTURNED)
+    velocity = given.get("angular_velocity", (0.0, 0.0, 0.0))
+    if "angular_velocity_body" in given:
+        velocity = _rotated(orientation, given["angular_velocity_body"])
+    arguments = {
+        "orientation": orientation,
+        "angular_velocity": velocity,
+        "contact_on_base": given.get("contact_on_base", (0.0, 0.0, 0.0)),
+        "base_normal": given.get("base_normal"),
+        "near_on_body": given.get("near_on_body"),
+        "allow_overlap": given.get("allow_overlap", False),
+    }
+    still = np.zeros(0 if scene is None else scene.coordinate_count)
+    arguments |= {name: given.get(name, still) for name in ("alpha", "alpha_dot")}
+    where = None if report.has_below(("start",)) else scene
+    if "slip" in given:
+        arguments["slip"] = given["slip"]
+        if where is not None and "modes" in report.document:
+            where = under(where, Slipping())  # until it grips
+    if where is None:  # some part is missing: judge at least what needs no scene
+        where = Scene(Body(1.0, np.eye(3), Sphere(1.0)))
+        scene = None
+        arguments |= {"contact_on_base": (0.0, 0.0, 0.0), "base_normal": None}
+        arguments |= {"near_on_body": None, "allow_overlap": True}
+        arguments |= {"alpha": (), "alpha_dot": (), "slip": None}
+
+    def note(name: str, error: FieldError) -> None:
+        if error.field == "Scene.supported":
+            report.add(("supported",), error.problem, error.remedy)
+            return
+        # a refusal by the base's surface itself is one of the contact point
+        field = name if name in arguments else "contact_on_base"
+        if field == "orientation" and "rotations" in given:
+            field = "rotations"
+        report.add(("start", field), error.problem, error.remedy)
+
+    start = attempt(
+        functools.partial(place, where),
+        arguments,
+        note,
+        {"orientation": _unit(orientation), "alpha": still, "alpha_dot": still},
+    )
+    return None if scene is None else start
+
+
+def _rotated(quaternion: Any, vector: Any) -> np.ndarray:
+    """Body components [any unit] in the fixed axes, for a quaternion of any length."""
+    a, *v = quaternion
+    square = max(float(np.dot(quaternion, quaternion)), 1e-300)  # refused later if zero
+    turn = 2.0 * np.cross(v, vector) / square
+    return np.asarray(vector) + a * turn + np.cross(v, turn)
+
+
+def _unit(quaternion: Any) -> np.ndarray:
+    length = float(np.linalg.norm(quaternion))
+    if length == 0.0:
+        return np.array(_UNTURNED)
+    return np.asarray(quaternion) / length

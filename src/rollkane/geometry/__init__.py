@@ -1,0 +1,1 @@
+"""Small matrices, rotations, surfaces and their fundamental forms."""

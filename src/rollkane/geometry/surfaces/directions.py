@@ -1,0 +1,71 @@
+"""Directions and grids: coordinates of a sphere, and samples of surfaces."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..local_geometry import LocalGeometry, from_chart
+from ..rotations import tangent_pair
+from ..small_linear import components, dot, norm
+
+PointOfNormal = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+SPHERE_SAMPLES = 400
+SPHERE_SPACING = (4.0 * np.pi / SPHERE_SAMPLES) ** 0.5  # [rad]
+_PAIR_SAMPLES = 31  # along each of two coordinates
+
+
+def grid_of(domain: tuple) -> np.ndarray:
+    """Pairs of coordinates over two ranges, shape (n, 2)."""
+    grids = [np.linspace(low, high, _PAIR_SAMPLES) for low, high in domain]
+    return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
+
+
+def grid_spacing(domain: tuple) -> tuple[float, float]:
+    """Distances of the pairs of ``grid_of`` along both coordinates."""
+    first, second = ((high - low) / (_PAIR_SAMPLES - 1) for low, high in domain)
+    return first, second
+
+
+def direction_of(q: Float[Array, "2"]) -> Float[Array, "3"]:
+    """Direction with longitude q1 and latitude q2 [rad]."""
+    c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
+    return jnp.stack([c2 * c1, c2 * s1, s2])
+
+
+def longitude_latitude(direction: Float[Array, "3"]) -> Float[Array, "2"]:
+    """Longitude and latitude [rad] of a direction of any length."""
+    x, y, z = components(direction)
+    return jnp.stack([jnp.arctan2(y, x), jnp.arctan2(z, jnp.sqrt(x * x + y * y))])
+
+
+def direction_rates(
+    u: Float[Array, "3"], t1: Float[Array, "3"], t2: Float[Array, "3"], x: Array
+) -> Float[Array, "3"]:
+    """Rates of a direction of any length that turns by ``x`` along t1 and t2."""
+    x1, x2 = components(x)
+    return norm(u) * (x1 * t1 + x2 * t2)
+
+
+def direction_chart(
+    position: PointOfNormal, u: Float[Array, "3"], orientation: float
+) -> LocalGeometry:
+    """Local geometry of a function of a direction, in turns along its tangent pair."""
+    direction = u / norm(u)
+    t1, t2 = tangent_pair(direction)
+
+    def local(x):
+        turned = direction + x[0] * t1 + x[1] * t2
+        return position(turned / jnp.sqrt(dot(turned, turned)))
+
+    return from_chart(local, jnp.zeros(2, u.dtype), orientation, spin=False)
+
+
+def sphere_of_directions(count: int) -> np.ndarray:
+    """Directions spread evenly (Fibonacci lattice), shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    angle = np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z * z)
+    return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)

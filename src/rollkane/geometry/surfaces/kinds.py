@@ -1,0 +1,414 @@
+"""What every surface can do, and the two ways in which it can carry a contact point.
+
+A surface is *given by its normal* when the outward normal determines the point (sphere,
+ellipsoid, rim): then the normal itself is the coordinate and edges are ordinary. Every
+other surface *carries its point*: its coordinates live on a manifold without poles.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..local_geometry import LocalGeometry, from_chart, from_normal
+from ..rotations import tangent_pair
+from ..small_linear import norm, solve_2x2
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
+    PointOfNormal,
+    direction_of,
+    direction_rates,
+    grid_of,
+    grid_spacing,
+    longitude_latitude,
+    sphere_of_directions,
+)
+
+
+class AbstractSurface(eqx.Module):
+    """A surface fixed in its owner's axes, with an outward side.
+
+    Coordinates ``u`` are those of the contact state: without poles, of shape
+    (coordinate_count,). Rates ``x`` of shape (2,) are taken in local coordinates at a
+    point, those to which the ``L`` and ``W`` of its :class:`LocalGeometry` belong.
+    """
+
+    coordinate_count: eqx.AbstractClassVar[int]
+    is_flat: ClassVar[bool] = False
+    is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
+
+    @abc.abstractmethod
+    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
+        """Local geometry at coordinates ``u``; differentiates the surface once."""
+
+    @abc.abstractmethod
+    def coordinate_rates(
+        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, " k"]:
+        """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
+
+    def units(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """What local coordinates are measured by: metres beside angles by a length."""
+        return jnp.ones(2, u.dtype)
+
+    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Coordinates brought back to their manifold after a finite step."""
+        return u
+
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """The point at coordinates ``u`` [m], without its geometry."""
+        return self.geometry(u).position
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """Coordinates of a point beside, by a finite step in local coordinates."""
+        return self.settled(u + self.coordinate_rates(u, self.geometry(u), x))
+
+    @abc.abstractmethod
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the surface point at, or near, a point [m]."""
+
+    @abc.abstractmethod
+    def samples(self) -> np.ndarray | Array:
+        """Coordinates over the whole surface, shape (n, k): seeds of searches."""
+
+    @abc.abstractmethod
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Two-parameter chart, for drawing and for Voronets coordinates [m]."""
+
+    @property
+    @abc.abstractmethod
+    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of the chart's two parameters that cover the surface once."""
+
+    @abc.abstractmethod
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+
+    @abc.abstractmethod
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """Chart coordinates of the point with contact coordinates ``u``."""
+
+    @abc.abstractmethod
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """Contact coordinates of the point with chart coordinates ``q``."""
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether the material is convex: two such bodies touch at one place only."""
+        return False
+
+    @property
+    def hull(self) -> Callable[[np.ndarray], bool] | None:
+        """Whether a point [m] is in the body's convex hull, by NumPy.
+
+        None: not known, as of a surface that may be a part of the body only (a foot).
+        """
+        return None
+
+    @property
+    @abc.abstractmethod
+    def spacing(self) -> tuple[Any, Any]:
+        """Distance of neighbouring samples, in the local coordinates."""
+
+    def lattice(self) -> np.ndarray:
+        """Numbers, one row for each sample, of which near ones belong to near samples.
+
+        So that neighbours are known without a value of the surface.
+        """
+        return np.asarray(self.samples())
+
+    def face_points(self) -> Float[Array, "n 3"] | None:
+        """Points of the body that its surface leaves out [m]; None: there are none."""
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
+        """Distance of a point from the surface [m], negative in the material.
+
+        Of first order near the surface, of the right sign everywhere; infinite where
+        the surface does not reach. None: it has no inside (a wire), or none is known.
+        """
+        del point
+
+    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
+        """Positive while a contact point is on the surface; None: it has no end.
+
+        A contact that comes to zero has come to a rim, a tip or a face.
+        """
+        del u
+
+    def chart_extent(self, q: Float[Array, "2"]) -> Float[Array, ""] | None:
+        """The same in chart coordinates."""
+        return self.extent(self.chart_inverse(q))
+
+    def normal_heading(
+        self, against_plane: bool
+    ) -> Callable[[Float[Array, "3"]], Float[Array, "2"]] | None:
+        """Of a surface given by its normal: a part of the normal that must not vanish.
+
+        Where it does, the inverse Gauss map jumps: a whole face or circle has that
+        normal. No step of a run may reverse it. None: the map is continuous.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
+
+    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Chart coordinates where the outward normal is the given one.
+
+        Only for surfaces that are given by their normal.
+        """
+        return longitude_latitude(normal)
+
+    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
+        """The map from outward normal to point, where the normal determines it.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
+        return None
+
+
+class AbstractNormalSurface(AbstractSurface):
+    """A surface given by its normal; its coordinate is the outward normal itself."""
+
+    coordinate_count: ClassVar[int] = 3
+
+    @abc.abstractmethod
+    def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Point where the unit normal out of the material is ``normal`` [m]."""
+
+    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
+        """The map from outward normal to point."""
+        del against_plane
+        return self.point_with_normal
+
+    def geometry(self, u: Float[Array, "3"]) -> LocalGeometry:
+        """Local geometry where the outward normal is along ``u`` (any length)."""
+        return from_normal(self.point_with_normal, u / norm(u))
+
+    def point(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point whose outward normal is along ``u`` [m]."""
+        return self.point_with_normal(u / norm(u))
+
+    def neighbour(self, u: Float[Array, "3"], x: Float[Array, "2"]) -> Array:
+        """The normal, turned by ``x`` along any tangent pair."""
+        return u + direction_rates(u, *tangent_pair(u / norm(u)), x)
+
+    def coordinate_rates(
+        self, u: Float[Array, "3"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, "3"]:
+        """Rates of the normal, turning by ``x`` along e1 and e2."""
+        return direction_rates(u, geometry.frame[:, 0], geometry.frame[:, 1], x)
+
+    def samples(self) -> np.ndarray:
+        """Normals spread over the sphere of directions."""
+        return sphere_of_directions(SPHERE_SAMPLES)
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Turns of the normal [rad]."""
+        return SPHERE_SPACING, SPHERE_SPACING
+
+    @property
+    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Longitude and latitude of the normal [rad]."""
+        return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Point whose outward normal has longitude q1 and latitude q2 [rad]."""
+        return self.point_with_normal(direction_of(q))
+
+    def chart_coordinates(self, u: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Longitude and latitude of the normal [rad]."""
+        return longitude_latitude(u)
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The normal with a longitude and a latitude."""
+        return direction_of(q)
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Geometry in longitude and latitude of the normal; edges included.
+
+        Source: theory, section 8.1 (the chart of the rim, for any such surface).
+        """
+        c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
+        zero = jnp.zeros_like(c1)
+        e1 = jnp.stack([-s1, c1, zero])
+        e2 = jnp.stack([-s2 * c1, -s2 * s1, c2])
+        normal = jnp.stack([c2 * c1, c2 * s1, s2])
+        turned = from_normal(self.point_with_normal, normal, (e1, e2))
+        turn = jnp.stack([c2, jnp.ones_like(c2)])  # turns per unit of q1 and q2
+        return LocalGeometry(
+            position=turned.position,
+            frame=turned.frame,
+            lengths=turned.lengths * turn[None, :],
+            frame_rates=turned.frame_rates * turn[None, :],
+            spin_rates=jnp.stack([s2, zero]),
+        )
+
+
+class AbstractPointSurface(AbstractSurface):
+    """A surface that carries its contact point, found by search where it must be."""
+
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
+        fixed = jax.lax.stop_gradient(point)
+        seed = self._nearest_sample(fixed)
+        return self._refine(seed, _step_to(fixed), _step_to(point))
+
+    def nearest(self, point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
+        """The nearest surface point about a point, by a few steps; no derivatives."""
+        point = jax.lax.stop_gradient(point)
+        step, longest = _step_to(point), self._search_step()
+        seed = self._nearest_sample(point)
+        advance = lambda u, _: (self._advanced(u, step, longest), None)
+        u, _ = jax.lax.scan(advance, seed, length=8)
+        # far from a bent surface the steps do not converge
+        gap = lambda u: norm(self.geometry(u).position - point)
+        u = jnp.where(gap(u) < gap(seed), u, seed)
+        return u, self.geometry(u)
+
+    def _nearest_sample(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        seeds = jnp.asarray(self.samples(), dtype=point.dtype)
+        gaps = jax.vmap(lambda u: norm(self.geometry(u).position - point))(seeds)
+        return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
+
+    def find_normal(
+        self, normal: Float[Array, "3"], near: Float[Array, "3"] | None = None
+    ) -> Float[Array, " k"]:
+        """Coordinates of the point with the given outward normal.
+
+        Of several such points the one next to ``near`` [m], or else the one farthest
+        out along the normal: the first that a plane meets. Where there is none, a
+        point with another normal comes back, which the caller must check.
+        """
+        fixed = jax.lax.stop_gradient(normal)
+        seed = self._outermost(fixed) if near is None else self.locate(near)
+
+        def towards(target):
+            def gap(geometry):
+                turn = geometry.frame[:, :2].T @ target  # that the normal still needs
+                return _least_turn(-geometry.frame_rates, turn)
+
+            return gap
+
+        return self._refine(seed, towards(fixed), towards(normal))
+
+    def _outermost(self, normal: Float[Array, "3"]) -> Float[Array, " k"]:
+        """The sample farthest out along a normal, of those that face its way."""
+        seeds = jnp.asarray(self.samples(), dtype=normal.dtype)
+        found = jax.vmap(self.geometry)(seeds)
+        height = found.position @ normal
+        facing = found.frame[:, :, 2] @ normal
+        spread = jnp.nanmax(height) - jnp.nanmin(height)
+        # where a whole line has the normal (cylinder), the place next to the origin
+        far = 1e-6 * jax.vmap(norm)(found.position)
+        score = height + spread * jnp.minimum(facing - 0.5, 0.0) - far
+        return seeds[jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))]
+
+    def _refine(self, seed, step_to_fixed, step_to_moving) -> Array:
+        """Newton steps from a seed; the last two carry the derivative."""
+        longest = self._search_step()
+        advance = lambda _, u: self._advanced(u, step_to_fixed, longest)
+        u = jax.lax.stop_gradient(jax.lax.fori_loop(0, 60, advance, seed))
+        for _ in range(2):
+            u = self._advanced(u, step_to_moving, longest)
+        return u
+
+    def _advanced(self, u, step: Callable, longest) -> Array:
+        """Coordinates after one step of a search, which is cut to a length [m]."""
+        geometry = self.geometry(u)
+        x = step(geometry)
+        x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
+        x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
+        return self.settled(u + self.coordinate_rates(u, geometry, x))
+
+    def _search_step(self) -> Float[Array, ""]:
+        """Longest step of a search [m]: a tenth of the sampled extent."""
+        seeds = jnp.asarray(self.samples())
+        places = jax.vmap(lambda u: self.geometry(u).position)(seeds)
+        places = jax.lax.stop_gradient(places)
+        places = jnp.where(jnp.isfinite(places), places, 0.0)
+        return 0.1 * jnp.max(jnp.max(places, axis=0) - jnp.min(places, axis=0))
+
+
+class AbstractPairSurface(AbstractPointSurface):
+    """A surface whose contact coordinates are a pair, by one chart without poles."""
+
+    coordinate_count: ClassVar[int] = 2
+
+    @property
+    @abc.abstractmethod
+    def orientation(self) -> float:
+        """+1 where d1 x d2 of the chart points out of the material, else -1."""
+
+    def geometry(self, u: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, without spin rates."""
+        return from_chart(self.chart, u, self.orientation, spin=False)
+
+    def point(self, u: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The chart's point [m]."""
+        return self.chart(u)
+
+    def neighbour(self, u: Float[Array, "2"], x: Float[Array, "2"]) -> Array:
+        """The pair beside."""
+        return u + x
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+        return from_chart(self.chart, q, self.orientation)
+
+    def chart_coordinates(self, u: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The pair itself."""
+        return u
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "2"]:
+        """The pair itself."""
+        return q
+
+    def coordinate_rates(
+        self, u: Float[Array, "2"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, "2"]:
+        """The chart rates themselves."""
+        del u, geometry
+        return x
+
+    def samples(self) -> np.ndarray:
+        """A grid over the chart's domain."""
+        return grid_of(self.chart_domain)
+
+    def lattice(self) -> np.ndarray:
+        """The grid in units of its spacing."""
+        return grid_of(self.chart_domain) / np.array(grid_spacing(self.chart_domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of the grid."""
+        return grid_spacing(self.chart_domain)
+
+
+def _step_to(target: Float[Array, "3"]) -> Callable[[LocalGeometry], Array]:
+    """The Gauss-Newton step along a surface towards the point next to a target."""
+
+    def step(geometry):
+        offset = target - geometry.position
+        return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
+
+    return step
+
+
+def _least_turn(matrix: Float[Array, "2 2"], turn: Float[Array, "2"]):
+    """Smallest x with ``matrix x = turn``, also where one way does not turn at all.
+
+    A cylinder's generator keeps the normal: its point then stays where it was.
+    """
+    square = matrix.T @ matrix
+    slack = 1e-14 * (square[0, 0] + square[1, 1])
+    return solve_2x2(square + slack * jnp.eye(2, dtype=turn.dtype), matrix.T @ turn)

@@ -1,0 +1,399 @@
+"""Surfaces of revolution by their meridian, smooth where it meets the axis."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...validation.checks import FieldError, flag, is_traced
+from ...validation.user_functions import UserFunction, check_output
+from ..local_geometry import LocalGeometry, from_chart
+from ..small_linear import components, dot, norm
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
+    direction_rates,
+    grid_of,
+    grid_spacing,
+    sphere_of_directions,
+)
+from .kinds import AbstractPointSurface
+from .user_surfaces import Range, domain_of
+
+_DENSE = 257  # points of a meridian, where it is searched as a whole
+
+
+class _OnMeridian(NamedTuple):
+    """Where a coordinate lies: meridian, way along it, distance from its pole."""
+
+    s: Array  # parameter of the meridian
+    way: tuple[Array, Array]  # from the pole, of length `across`; smooth at the pole
+    cosine: Array  # direction of the meridian's half-plane
+    sine: Array
+    across: Array  # unit way round per radian of turn: sin(polar angle), |u| or 1
+    rate: Array | float  # ds per unit of local coordinate
+    edge: Array | float  # ds per unit of `across` next to the pole
+
+
+class Revolution(AbstractPointSurface):
+    """A surface of revolution about the z axis, by its meridian.
+
+    Where the meridian meets the axis the surface is smooth, and a body rolls through
+    that pole like anywhere else. Coordinates: with no pole the pair (s, angle about
+    z [rad]); with one, the pair ``|s - pole| * (cos, sin)``; with two, a direction
+    whose polar angle runs from the first pole to the last.
+
+    Attributes:
+        profile: The user's function, with its parameters.
+        domain: Range of the meridian's parameter s.
+        poles: Which ends of the range lie on the axis, (first, last).
+        rising: Whether the height grows from the first end to the last.
+        inside: Whether the outward side is turned towards the axis.
+    """
+
+    profile: UserFunction
+    domain: tuple[float, float] = eqx.field(static=True)
+    poles: tuple[bool, bool] = eqx.field(static=True)
+    rising: bool = eqx.field(static=True)
+    inside: bool = eqx.field(static=True)
+    coordinate_count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        profile,
+        parameters=None,
+        domain=(0.0, np.pi),
+        poles=None,
+        rising=None,
+        inside: bool = False,
+    ):
+        """Make a surface of revolution.
+
+        Args:
+            profile: ``profile(s)`` or ``profile(s, parameters)`` -> (radius, height)
+                [m], written with jax.numpy and twice differentiable. At a pole the
+                radius is zero and the height stationary.
+            parameters: Tree of numbers that it depends on; differentiable.
+            domain: Range (first, last) of s; a meridian without poles goes on beyond.
+            poles: Whether the radius vanishes at (first, last); found by evaluation
+                when left out.
+            rising: Whether the height grows from first to last; likewise, and of a
+                meridian that ends at the height at which it begins (a tube's cross
+                section) whether it goes anticlockwise in the plane of radius and
+                height.
+            inside: The normal out of the material points away from the axis (a
+                hanging bowl's is its lower side); True turns it round, so that the
+                other body rolls within.
+
+        A contact that comes to the rim of a meridian with one pole (a cup) ends a run
+        with ``Code.SURFACE_EDGE``.
+
+        Raises:
+            FieldError: profile of another signature or result; ends of the meridian
+                that cannot be found because the parameters are traced; a meridian that
+                meets the axis in a tip, or whose outward side cannot be told.
+        """
+        self.profile = UserFunction("Revolution.profile", profile, 1, parameters)
+        (self.domain,) = domain_of("Revolution.domain", domain, 1)
+        self.inside = flag("Revolution.inside", inside)
+        meridian = _meridian(self.profile)
+        check_output("Revolution.profile", meridian, jnp.zeros(()), (2,))
+        if poles is None or rising is None:
+            places = _sampled(meridian, self.domain)
+            poles = _found_poles(places) if poles is None else poles
+            rising = _found_rising(places) if rising is None else rising
+        first, last = poles
+        self.poles = flag("Revolution.poles", first), flag("Revolution.poles", last)
+        self.rising = flag("Revolution.rising", rising)
+        _refuse_tips(meridian, self.domain, self.poles)
+        self.coordinate_count = 3 if all(self.poles) else 2
+
+    @property
+    def _side(self) -> float:
+        """Sign of the outward normal against (height', -radius') of the meridian."""
+        return 1.0 if self.rising != self.inside else -1.0
+
+    def _place(self, u: Float[Array, " k"]) -> _OnMeridian:
+        if not any(self.poles):
+            s, angle = components(u)
+            cosine, sine = jnp.cos(angle), jnp.sin(angle)
+            one = jnp.ones_like(s)
+            return _OnMeridian(s, (cosine, sine), cosine, sine, one, 1.0, 1.0)
+        first, last = self.domain
+        if all(self.poles):
+            x, y, z = components(u / norm(u))
+            cosine, sine, across = _polar(x, y)
+            rate = (last - first) / np.pi
+            s = first + rate * jnp.arctan2(across, z)
+            edge = jnp.where(z < 0, -rate, rate)
+            return _OnMeridian(s, (x, y), cosine, sine, across, rate, edge)
+        x, y = components(u)
+        cosine, sine, across = _polar(x, y)
+        rate = 1.0 if self.poles[0] else -1.0
+        s = first + across if self.poles[0] else last - across
+        return _OnMeridian(s, (x, y), cosine, sine, across, rate, rate)
+
+    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
+        """Local geometry from the meridian's derivatives; regular at the poles.
+
+        e1 runs along the meridian (growing s), e2 along the parallel; L and W are
+        diagonal because both are lines of curvature.
+        """
+        place = self._place(u)
+        cosine, sine, across = place.cosine, place.sine, place.across
+        x, y = place.way
+
+        def slope(s):
+            return jax.jvp(_meridian(self.profile), (s,), (jnp.ones_like(s),))
+
+        along = jnp.ones_like(place.s)
+        (point, first), (_, second) = jax.jvp(slope, (place.s,), (along,))
+        r, z = components(point)
+        r_1, z_1 = components(first)
+        r_2, z_2 = components(second)
+        length = jnp.sqrt(r_1 * r_1 + z_1 * z_1)
+        zero = jnp.zeros_like(r)
+        # next to a pole r, z_1 and the way round vanish together: 0/0 has a limit
+        at_pole = across == 0
+        safe = jnp.where(at_pole, 1.0, across)
+        around = jnp.where(at_pole, r_1 * place.edge, r / safe)
+        lean = jnp.where(at_pole, z_2 * place.edge, z_1 / safe)
+        side = self._side
+        bend = (r_1 * z_2 - z_1 * r_2) / (length * length) * place.rate
+        w11, w22 = -side * bend, -side * lean / length
+        return LocalGeometry(
+            # through x and y, so that derivatives are right at the very pole
+            position=jnp.stack([around * x, around * y, z]),
+            frame=jnp.stack(
+                [
+                    jnp.stack([r_1 * cosine, r_1 * sine, z_1]) / length,
+                    jnp.stack([side * sine, -side * cosine, zero]),
+                    jnp.stack([lean * x, lean * y, -r_1]) * (side / length),
+                ],
+                axis=1,
+            ),
+            lengths=jnp.stack(
+                [jnp.stack([length * place.rate, zero]), jnp.stack([zero, around])]
+            ),
+            frame_rates=jnp.stack([jnp.stack([w11, zero]), jnp.stack([zero, w22])]),
+        )
+
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """The surface point at ``u`` [m]."""
+        place = self._place(u)
+        r, z = components(_meridian(self.profile)(place.s))
+        return jnp.stack([r * place.cosine, r * place.sine, z])
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """Coordinates beside, by steps along the meridian and round."""
+        return u + self._steps(u, x)
+
+    def coordinate_rates(
+        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, " k"]:
+        """Rates for steps along the meridian and along e2."""
+        del geometry
+        return self._steps(u, x)
+
+    def _steps(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Float[Array, " k"]:
+        if not any(self.poles):
+            return jnp.stack([x[0], -self._side * x[1]])
+        place = self._place(u)
+        cosine, sine = place.cosine, place.sine
+        round_ = -self._side * jnp.stack([-sine, cosine])
+        if not all(self.poles):
+            return jnp.stack([cosine, sine]) * x[0] + round_ * x[1]
+        z = u[2] / norm(u)
+        south = jnp.stack([z * cosine, z * sine, -place.across])
+        east = jnp.concatenate([round_, jnp.zeros_like(z)[None]])
+        return direction_rates(u, south, east, x)
+
+    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
+        """Of a meridian with one pole, how far its other end is; else None."""
+        if sum(self.poles) != 1:
+            return None
+        return self.domain[1] - self.domain[0] - norm(u)
+
+    def samples(self) -> np.ndarray:
+        """Coordinates over the whole domain of the meridian and once round."""
+        if all(self.poles):
+            return sphere_of_directions(SPHERE_SAMPLES)
+        s, angle = grid_of(self.chart_domain).T
+        if not any(self.poles):
+            return np.stack([s, angle], axis=1)
+        r = s - self.domain[0] if self.poles[0] else self.domain[1] - s
+        return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
+
+    def lattice(self) -> np.ndarray:
+        """Directions, or the pairs in units of their spacing."""
+        if all(self.poles):
+            return self.samples()
+        return grid_of(self.chart_domain) / np.array(grid_spacing(self.chart_domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of parameter and angle, or of directions [rad]."""
+        if all(self.poles):
+            return SPHERE_SPACING, SPHERE_SPACING
+        along, around = grid_spacing(self.chart_domain)
+        if not any(self.poles):
+            return along, around
+        return along, around * (self.domain[1] - self.domain[0])
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the nearest point of the meridian [m].
+
+        Infinite beyond an end of the meridian that is no pole.
+        """
+        target = jnp.stack([norm(point[:2]), point[2]])
+        first, last = self.domain
+        meridian = _meridian(self.profile)
+        seeds = jnp.linspace(first, last, _DENSE, dtype=point.dtype)
+        places = jax.vmap(meridian)(seeds)
+        gaps = jax.vmap(lambda place: norm(place - target))(places)
+        longest = (last - first) / (_DENSE - 1)
+
+        def slope(s):
+            return jax.jvp(meridian, (s,), (jnp.ones_like(s),))
+
+        def advance(s, _):
+            (place, along), (_, bend) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+            square, left = dot(along, along), target - place
+            curved = square - dot(left, bend)  # not positive far from the surface
+            curved = jnp.where(curved > 0.1 * square, curved, square)
+            return s + jnp.clip(dot(left, along) / curved, -longest, longest), None
+
+        s, _ = jax.lax.scan(advance, seeds[jnp.nanargmin(gaps)], length=6)
+        place, (r_1, z_1) = slope(s)
+        away, up = components(target - place)
+        out = self._side * (away * z_1 - up * r_1)
+        out = jnp.copysign(norm(target - place), out)
+        closed = norm(places[0] - places[-1]) < 1e-6 * jnp.max(jnp.abs(places))
+        beyond = (s < first) & (not self.poles[0]) | (s > last) & (not self.poles[1])
+        return jnp.where(beyond & ~closed, jnp.inf, out)
+
+    @property
+    def chart_domain(self) -> Range:
+        """Range of s, and once round [rad]."""
+        return self.domain, (-np.pi, np.pi)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Point at s = q1 and angle q2 about z [m]."""
+        r, z = components(_meridian(self.profile)(q[0]))
+        return jnp.stack([r * jnp.cos(q[1]), r * jnp.sin(q[1]), z])
+
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """Meridian parameter s, and angle about z [rad]."""
+        place = self._place(u)
+        return jnp.stack([place.s, jnp.arctan2(place.sine, place.cosine)])
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """Contact coordinates at s = q1 and angle q2 about z."""
+        s, angle = components(q)
+        if not any(self.poles):
+            return q
+        first, last = self.domain
+        round_ = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        if all(self.poles):
+            polar = (s - first) * (np.pi / (last - first))
+            return jnp.concatenate([jnp.sin(polar) * round_, jnp.cos(polar)[None]])
+        return (s - first if self.poles[0] else last - s) * round_
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart (s, angle), with ``spin_rates``."""
+        return from_chart(self.chart, q, -self._side)
+
+
+def _polar(x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Cosine, sine and length of a plane vector; (1, 0, 0) for the zero vector."""
+    square = x * x + y * y
+    at_pole = square == 0
+    length = jnp.sqrt(jnp.where(at_pole, 1.0, square))
+    return (
+        jnp.where(at_pole, 1.0, x / length),
+        jnp.where(at_pole, 0.0, y / length),
+        jnp.where(at_pole, 0.0, length),
+    )
+
+
+def _meridian(profile: UserFunction) -> Callable[[Array], Array]:
+    """The profile as a function of a scalar with values of shape (2,)."""
+
+    def meridian(s):
+        value = profile(s[None])
+        if isinstance(value, (tuple, list)):
+            value = jnp.stack([jnp.asarray(x) for x in value])
+        return value
+
+    return meridian
+
+
+def _sampled(meridian, domain) -> np.ndarray:
+    """Points of the meridian, shape (n, 2)."""
+    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], _DENSE))
+    if is_traced(places):
+        raise FieldError(
+            "Revolution.poles",
+            None,
+            "cannot be found while the profile's parameters are traced",
+            "give poles=(first, last) and rising= yourself",
+        )
+    return np.asarray(places)
+
+
+def _found_poles(places: np.ndarray) -> tuple[bool, bool]:
+    """Which ends of a meridian are poles."""
+    radius = np.abs(places[:, 0])
+    near = 1e-6 * np.max(radius)  # far below any real hole, above rounding
+    return bool(radius[0] < near), bool(radius[-1] < near)
+
+
+def _found_rising(places: np.ndarray) -> bool:
+    """Whether a meridian rises; one that is closed, whether it goes anticlockwise.
+
+    The area on its left, between it and the axis or the line between its ends, is
+    ``int r dz``: positive where the outward side is the right one.
+    """
+    radius, height = places.T
+    size = max(np.ptp(radius), np.ptp(height))
+    rise = height[-1] - height[0]
+    if abs(rise) > 1e-6 * size:
+        return bool(rise > 0)
+    between = radius - min(radius[0], radius[-1])  # an offset changes nothing
+    area = np.sum(0.5 * (between[1:] + between[:-1]) * np.diff(height))
+    if not abs(area) > 1e-6 * size * size:
+        raise FieldError(
+            "Revolution.rising",
+            None,
+            "cannot be found: the meridian ends at the height at which it begins, and "
+            "encloses nothing",
+            "give rising=True or rising=False: the outward normal of a meridian that "
+            "rises points away from the axis, and True turns it likewise",
+        )
+    return bool(area > 0)
+
+
+def _refuse_tips(meridian, domain, poles) -> None:
+    """Refuse a known meridian that does not meet the axis at a right angle."""
+    for s, is_pole in zip(domain, poles, strict=True):
+        if not is_pole:
+            continue
+        s = jnp.asarray(s)
+        _, slope = jax.jvp(meridian, (s,), (jnp.ones_like(s),))
+        if is_traced(slope):
+            continue
+        r_1, z_1 = np.asarray(slope, float)
+        # a thousandth of a radian is no rounding
+        if not abs(z_1) <= 1e-3 * abs(r_1):
+            raise FieldError(
+                "Revolution.profile",
+                (float(r_1), float(z_1)),
+                f"does not meet the axis at a right angle at s = {float(s):g}, where "
+                "radius and height change at these rates",
+                "round the tip off, let the radius grow in proportion to s there, use "
+                "Cone, or end the domain off the axis with poles=(False, False)",
+            )

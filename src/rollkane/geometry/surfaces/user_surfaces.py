@@ -1,0 +1,391 @@
+"""Surfaces by a user's own JAX function: graph, parametric, implicit."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...validation.checks import FieldError, flag, positive, real
+from ...validation.user_functions import UserFunction, check_output
+from ..local_geometry import (
+    LocalGeometry,
+    from_chart,
+    from_height,
+    from_level_set,
+    travel,
+)
+from ..rotations import tangent_pair
+from ..small_linear import dot, inverse_sqrt, norm
+from .directions import (
+    SPHERE_SAMPLES,
+    SPHERE_SPACING,
+    direction_chart,
+    direction_of,
+    direction_rates,
+    grid_of,
+    grid_spacing,
+    longitude_latitude,
+    sphere_of_directions,
+)
+from .kinds import AbstractPairSurface, AbstractPointSurface
+
+Range = tuple[tuple[float, float], tuple[float, float]]
+
+
+def domain_of(field: str, domain: Any, count: int) -> tuple:
+    """Static ranges ((low, high), ...) from a user's domain, checked."""
+    try:
+        ranges = np.asarray(domain, dtype=float).reshape(count, 2)
+    except (TypeError, ValueError) as error:
+        wanted = "(low, high)" if count == 1 else "((low, high), (low, high))"
+        raise FieldError(field, domain, "must be ranges", f"give {wanted}") from error
+    if not (np.all(np.isfinite(ranges)) and np.all(ranges[:, 0] < ranges[:, 1])):
+        raise FieldError(
+            field, domain, "must be finite with low < high", "order the limits"
+        )
+    return tuple((float(low), float(high)) for low, high in ranges)
+
+
+class Graph(AbstractPairSurface):
+    """The surface z = f(x, y, parameters); the other body is above.
+
+    Coordinates x and y [m]; outward normal upwards.
+
+    Attributes:
+        f: The user's function, with its parameters.
+        domain: Ranges of x and y in which a body's contact point is searched, and
+            which are drawn [m]; the surface goes on beyond.
+    """
+
+    is_bounded: ClassVar[bool] = False
+    f: UserFunction
+    domain: Range = eqx.field(static=True)
+
+    def __init__(self, f, parameters=None, domain=((-1.0, 1.0), (-1.0, 1.0))):
+        """Make a graph.
+
+        Args:
+            f: ``f(x, y, parameters)``, ``f(x, y)`` or ``f(xy, parameters)`` -> z [m],
+                written with jax.numpy and twice differentiable.
+            parameters: Tree of numbers that f depends on; differentiable.
+            domain: Ranges of x and y for searches and drawing [m].
+
+        Raises:
+            FieldError: f of another signature, or whose value is not one number.
+        """
+        self.f = UserFunction("Graph.f", f, 2, parameters)
+        self.domain = domain_of("Graph.domain", domain, 2)
+        check_output("Graph.f", self.f, jnp.zeros(2), ())
+
+    @property
+    def orientation(self) -> float:
+        """d1 x d2 points up, out of the material."""
+        return 1.0
+
+    @property
+    def chart_domain(self) -> Range:
+        """Ranges of x and y for searches and drawing [m]."""
+        return self.domain
+
+    def geometry(self, u: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry at (x, y), from the derivatives of the height alone."""
+        return from_height(self.f, u)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Point (x, y, f(x, y)) [m]."""
+        return jnp.concatenate([q, self.f(q)[None]])
+
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, "2"]:
+        """The point's x and y [m]."""
+        return point[:2]
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface, of first order [m]."""
+        # forwards: a function that searches has no other way
+        twice = lambda at: (self.f(at),) * 2
+        slope, height = jax.jacfwd(twice, has_aux=True)(point[:2])
+        return (point[2] - height) * inverse_sqrt(1.0 + dot(slope, slope))
+
+
+class Parametric(AbstractPointSurface):
+    """A surface by its position as a function of two parameters, or of a direction.
+
+    Attributes:
+        position: The user's function, with its parameters.
+        of_direction: Whether it takes a unit vector (closed surfaces: no poles).
+        inside: Whether the outward side is turned round.
+        domain: Ranges of the two parameters for searches and drawing.
+    """
+
+    position: UserFunction
+    of_direction: bool = eqx.field(static=True)
+    inside: bool = eqx.field(static=True)
+    domain: Range = eqx.field(static=True)
+    coordinate_count: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        position,
+        parameters=None,
+        domain=((-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)),
+        of_direction: bool = False,
+        inside: bool = False,
+    ):
+        """Make a parametric surface.
+
+        Args:
+            position: ``position(q, parameters)``, ``position(q1, q2)`` ... -> (3,) [m],
+                written with jax.numpy and twice differentiable. With ``of_direction``
+                it takes a unit vector of shape (3,) instead of the pair.
+            parameters: Tree of numbers that it depends on; differentiable.
+            domain: Ranges of the two parameters for searches and drawing; with
+                ``of_direction`` ignored.
+            of_direction: Whether position takes a unit vector; closed surfaces without
+                poles.
+            inside: The normal d1 x d2 (with ``of_direction``: the one away from the
+                origin of directions) points out of the material; True turns it round.
+
+        Raises:
+            FieldError: position of another signature or result.
+        """
+        self.of_direction = flag("Parametric.of_direction", of_direction)
+        count = 3 if self.of_direction else 2
+        self.position = UserFunction("Parametric.position", position, count, parameters)
+        self.inside = flag("Parametric.inside", inside)
+        self.domain = domain_of("Parametric.domain", domain, 2)
+        self.coordinate_count = count
+        check_output("Parametric.position", self.position, jnp.zeros(count), (3,))
+
+    @property
+    def chart_domain(self) -> Range:
+        """Ranges of the two chart parameters."""
+        if self.of_direction:
+            return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+        return self.domain
+
+    @property
+    def _orientation(self) -> float:
+        return -1.0 if self.inside else 1.0
+
+    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
+        """Local geometry at a pair, or at a direction of any length."""
+        if self.of_direction:
+            return direction_chart(self.position, u, self._orientation)
+        return from_chart(self.position, u, self._orientation, spin=False)
+
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """Position at a pair, or at a direction of any length [m]."""
+        return self.position(u / norm(u) if self.of_direction else u)
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """The pair or the direction beside."""
+        if not self.of_direction:
+            return u + x
+        return u + direction_rates(u, *tangent_pair(u / norm(u)), x)
+
+    def coordinate_rates(
+        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, " k"]:
+        """Chart rates, or the rates of the direction."""
+        del geometry
+        if not self.of_direction:
+            return x
+        return direction_rates(u, *tangent_pair(u / norm(u)), x)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Position at the pair, or at longitude and latitude of the direction [m]."""
+        return self.position(direction_of(q) if self.of_direction else q)
+
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """The pair, or longitude and latitude of the direction [rad]."""
+        return longitude_latitude(u) if self.of_direction else u
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """The pair, or the direction with a longitude and a latitude."""
+        return direction_of(q) if self.of_direction else q
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+        return from_chart(self.chart, q, self._orientation)
+
+    def samples(self) -> np.ndarray:
+        """A grid of pairs, or directions over the sphere."""
+        if self.of_direction:
+            return sphere_of_directions(SPHERE_SAMPLES)
+        return grid_of(self.domain)
+
+    def lattice(self) -> np.ndarray:
+        """The pairs in units of their spacing, or the directions."""
+        if self.of_direction:
+            return self.samples()
+        return grid_of(self.domain) / np.array(grid_spacing(self.domain))
+
+    @property
+    def spacing(self) -> tuple[float, float]:
+        """Of the pairs, or of the directions [rad]."""
+        if self.of_direction:
+            return SPHERE_SPACING, SPHERE_SPACING
+        return grid_spacing(self.domain)
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the nearest point found from the samples [m].
+
+        Infinite beyond the ends of the domain, where the surface is not closed.
+        """
+        u, place = self.nearest(point)
+        offset = point - place.position
+        out = jnp.copysign(norm(offset), dot(offset, place.normal))
+        if self.of_direction:
+            return out
+        beyond = jnp.asarray(False)
+        spacing = grid_spacing(self.domain)
+        for k, ((low, high), slack) in enumerate(
+            zip(self.domain, spacing, strict=True)
+        ):
+            beyond |= (u[k] < low - slack) | (u[k] > high + slack)
+        return jnp.where(beyond, jnp.inf, out)
+
+
+class Implicit(AbstractPointSurface):
+    """The surface f(p) = 0, with f < 0 in the material.
+
+    Coordinates: the point itself [m]; it is put back onto the surface inside each
+    evaluation, so that integration error never lifts it off.
+
+    Attributes:
+        f: The user's function, with its parameters.
+        center: A point of the material from which rays find the surface [m].
+        size: Distance within which they find it [m].
+    """
+
+    coordinate_count: ClassVar[int] = 3
+    f: UserFunction
+    center: Float[Array, "3"]
+    size: Float[Array, ""]
+
+    def __init__(self, f, parameters=None, center=(0.0, 0.0, 0.0), size=1.0):
+        """Make an implicit surface.
+
+        Args:
+            f: ``f(p, parameters)``, ``f(x, y, z)`` ... -> one number, negative inside
+                the material, written with jax.numpy and twice differentiable.
+            parameters: Tree of numbers that f depends on; differentiable.
+            center: Point of the material from which contact points are searched [m].
+            size: How far from there the surface reaches at most [m].
+
+        Raises:
+            FieldError: f of another signature, or whose value is not one number.
+        """
+        self.f = UserFunction("Implicit.f", f, 3, parameters)
+        self.center = real("Implicit.center", center, (3,), "three lengths in metres")
+        self.size = positive("Implicit.size", size, (), "a length in metres")
+        check_output("Implicit.f", self.f, jnp.zeros(3), ())
+
+    def onto(self, p: Float[Array, "3"]) -> Float[Array, "3"]:
+        """A point near the surface moved onto it along the gradient [m]."""
+        for _ in range(2):  # quadratic: 1e-5 off becomes 1e-10, then rounding
+            level, slope = jax.value_and_grad(self.f)(p)
+            p = p - slope * (level / dot(slope, slope))
+        return p
+
+    def geometry(self, u: Float[Array, "3"]) -> LocalGeometry:
+        """Local geometry at the surface point next to ``u``."""
+        return from_level_set(self.f, self.onto(u))
+
+    def point(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The surface point next to ``u`` [m]."""
+        return self.onto(u)
+
+    def neighbour(self, u: Float[Array, "3"], x: Float[Array, "2"]) -> Array:
+        """The point beside, by lengths along any tangent pair [m]."""
+        slope = jax.grad(self.f)(u)
+        first, second = tangent_pair(slope / norm(slope))
+        return self.onto(u + x[0] * first + x[1] * second)
+
+    def coordinate_rates(
+        self, u: Float[Array, "3"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, "3"]:
+        """Velocity of the point along the surface [m/s]."""
+        del u
+        return travel(geometry, x)
+
+    def settled(self, u: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point, moved onto the surface [m]."""
+        return self.onto(u)
+
+    def _along_ray(self, direction: Float[Array, "3"]) -> Float[Array, "3"]:
+        """First surface point from the centre along a direction; NaN for none."""
+        steps = jnp.linspace(0.0, 1.0, 65, dtype=self.size.dtype)[1:] * self.size
+        levels = jax.vmap(lambda r: self.f(self.center + r * direction))(steps)
+        outside = levels > 0
+        first = jnp.argmax(outside)
+        low = jnp.where(first > 0, steps[jnp.maximum(first - 1, 0)], 0.0)
+        high = steps[first]
+
+        def halve(_, bounds):
+            low, high = bounds
+            mid = 0.5 * (low + high)
+            out = self.f(self.center + mid * direction) > 0
+            return jnp.where(out, low, mid), jnp.where(out, mid, high)
+
+        low, high = jax.lax.fori_loop(0, 30, halve, (low, high))
+        r = jnp.where(jnp.any(outside), 0.5 * (low + high), jnp.nan)
+        return self.onto(self.center + r * direction)
+
+    def samples(self) -> Array:
+        """Surface points along rays from the centre; needs known numbers."""
+        rays = jnp.asarray(sphere_of_directions(SPHERE_SAMPLES), dtype=self.size.dtype)
+        return jax.lax.stop_gradient(jax.vmap(self._along_ray)(rays))
+
+    def lattice(self) -> np.ndarray:
+        """The rays."""
+        return sphere_of_directions(SPHERE_SAMPLES)
+
+    @property
+    def spacing(self) -> tuple[Array, Array]:
+        """Of the surface points [m], as if they were as far as the surface reaches."""
+        return SPHERE_SPACING * self.size, SPHERE_SPACING * self.size
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Distance from the surface, of first order [m]."""
+        level, slope = jax.value_and_grad(self.f)(point)
+        steepness = dot(slope, slope)
+        level_set = level * inverse_sqrt(jnp.where(steepness == 0.0, 1.0, steepness))
+        return jnp.where(steepness == 0.0, jnp.sign(level) * self.size, level_set)
+
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point, moved onto the surface [m]."""
+        return self.onto(self.onto(point))
+
+    @property
+    def chart_domain(self) -> Range:
+        """Longitude and latitude of the ray [rad]."""
+        return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """First surface point along the ray of longitude q1 and latitude q2 [m]."""
+        direction = direction_of(q)
+        p = jax.lax.stop_gradient(self._along_ray(direction))
+        for _ in range(3):  # Newton along the ray; carries two derivatives of the chart
+            level, slope = jax.value_and_grad(self.f)(p)
+            r = dot(p - self.center, direction) - level / dot(slope, direction)
+            p = self.center + r * direction
+        return p
+
+    def chart_coordinates(self, u: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Longitude and latitude of the ray through the point [rad]."""
+        return longitude_latitude(self.onto(u) - self.center)
+
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """The first surface point along the ray [m]."""
+        return self.chart(q)
+
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart of rays, with ``spin_rates``.
+
+        Rays from inside the material: east x north points outwards.
+        """
+        return from_chart(self.chart, q, 1.0)

@@ -1,0 +1,1 @@
+"""Runs that change between rolling, slipping and flight."""

@@ -1,0 +1,237 @@
+"""Runs that change between rolling, slipping and flight, as the contact demands.
+
+One loop of steps for all modes: an accepted step after which an event function is
+negative is taken back and shortened until it ends on the zero, by a bracketing secant;
+there the mode changes. Derivatives are those of the recorded steps, replayed.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..codegen import in_one_program, in_one_program_or_not
+from ..codegen.tableau import tableau_of
+from ..dynamics.clearance import code_of_touch, reach_of
+from ..dynamics.consistency import consistent
+from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
+from ..dynamics.rolling_problem import at_an_edge, has_edges
+from ..dynamics.scene import Scene
+from ..integration.differentiate import differentiable
+from ..integration.integrate import in_order
+from ..integration.step_control import Stops, landings
+from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..validation.checks import FieldError, cleared
+from ..validation.codes import NO_FAULT, Code, first_fault, is_stuck
+from .mode_adjoint import pulled_back
+from .mode_loop import Loop, Run, as_it_is
+from .mode_replay import Path, Place, replayed
+from .modes import Mode, ModedState, Switches, in_modes, of, slipping
+from .transitions import Motion
+
+
+class HybridOutcome(eqx.Module):
+    """What came out of a run in modes."""
+
+    state: ModedState
+    switches: Switches
+    code: Array
+    final_time: Array
+    final_state: ModedState
+    steps: Array
+    rejected_steps: Array
+    fault: Array  # number of the field that cannot be used
+
+    @property
+    def unknown(self) -> "HybridOutcome":
+        """What of it has no derivative: what was not reached, or where it stopped."""
+        lost = jax.tree.map(lambda x: x != x, self)
+        stopped = self.code != Code.COMPLETED
+        where = lambda s: (s.final_time, s.final_state)
+        return eqx.tree_at(
+            where,
+            lost,
+            replace_fn=lambda part: jax.tree.map(lambda x: x | stopped, part),
+        )
+
+
+def integrate_modes(
+    scene: Scene,
+    start: State,
+    times,
+    stops: Stops,
+    rtol,
+    atol,
+    solver: Any,
+    max_steps: int,
+    corners: Callable,
+    allowed: Callable | None = None,
+    native: bool = False,
+) -> HybridOutcome:
+    """Integrate through all changes of the mode, to the asked times.
+
+    Args:
+        scene: With ``Modes`` for its contact.
+        start: A state that rolls, slips or flies.
+        times: Output times [s], increasing.
+        stops: Where the run stops on them.
+        rtol: Relative tolerance of a step [1].
+        atol: Absolute tolerance of a step [unit of the state].
+        solver: diffrax solver, an explicit Runge-Kutta method.
+        max_steps: Most tried steps.
+        corners: ``corners(scene)`` -> times at which the rates have a corner [s], or
+            None, and whether they may jump there.
+        allowed: ``allowed(scene, t, state)`` -> whether a step may end there; None:
+            anywhere.
+        native: Whether the loop is compiled as C, and its derivatives where they can
+            be; else all by XLA.
+    """
+    mode = Mode.FLYING if isinstance(start, FlyingState) else Mode.ROLLING
+    mode = Mode.SLIPPING if isinstance(start, SlidingState) else mode
+    runs = _Runs(mode, solver, max_steps, corners, allowed, native)
+    increasing = in_order(times) & ~(times[0] > times[-1])
+    fault, code_of_fault = first_fault(scene, of(start), increasing)
+    good = fault == NO_FAULT
+    rolling = in_modes(scene).rolling
+    start = of(consistent(rolling, jax.lax.stop_gradient(times[0]), start))
+    # NaN would keep the step controller going for ever; zero stops it at the start
+    start = jax.tree.map(lambda x: cleared(x, good), start)
+    spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
+    inputs = scene, start, stops.time, rtol, atol, spoilt
+    found = differentiable(
+        runs.solve,
+        inputs,
+        push=runs.push if native else None,
+        pull=runs.pull,
+        twice=_refuse_twice,
+        unknown=lambda s: s.unknown,
+    )
+    state = found.state
+    if stops.last is not None:
+        state = jax.tree.map(lambda x: x[stops.last], state)
+    code = jnp.where(good, found.code, code_of_fault)
+    return dataclasses.replace(found, state=state, code=code, fault=fault)
+
+
+class _Runs(NamedTuple):
+    """Runs from one kind of start, of inputs: scene, state, times and tolerances."""
+
+    mode: int
+    solver: Any
+    max_steps: int
+    corners: Callable
+    allowed: Callable | None
+    native: bool
+
+    def made(self, inputs: tuple) -> tuple:
+        """Motion, state and times."""
+        scene, y, times, *_ = inputs
+        tableau = tableau_of(self.solver, times.dtype)
+        return Motion(in_modes(scene), scene.contact, tableau), y, times
+
+    def stepped(self, inputs: tuple, recording: bool) -> tuple:
+        """A run by adaptive steps, and its record."""
+        motion, y, times = self.made(inputs)
+        scene, *_, rtol, atol, spoilt = inputs
+        order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
+        where = landings(times, *self.corners(scene))
+        reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
+        loop = Loop(motion, times, where, reach, rtol, atol, order, self.allowed)
+        c = loop.run(jnp.asarray(self.mode), y, self.max_steps, recording)
+        return _ended(motion, c, times.shape[0], self.allowed, spoilt), c.record
+
+    def repeated(self, inputs: tuple, record: Any) -> HybridOutcome:
+        """The same by recorded steps."""
+        motion, y, times = self.made(inputs)
+        path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
+        return _outcome(path, t, last, None, None, None)
+
+    def solve(self, inputs: tuple, replay: Any, adjoint: Any) -> tuple:
+        """One of the functions of ``integration.differentiate.differentiable``."""
+        if replay is not None:
+            return self.repeated(inputs, replay), None
+        call = in_one_program if self.native else _called
+        return call(self.stepped, inputs, adjoint is not None)
+
+    def push(self, inputs_of: Callable, varied, record, tangents, once) -> list[Array]:
+        """Tangents, of recorded steps."""
+        del once
+
+        def moved(varied, record, tangents):
+            outputs = lambda varied: _floats(self.repeated(inputs_of(varied), record))
+            return jax.jvp(outputs, (varied,), (tangents,))[1]
+
+        one = lambda tangents: in_one_program_or_not(moved, varied, record, tangents)
+        return jax.vmap(one)(tangents)
+
+    def pull(self, inputs_of: Callable, varied, record, asked, once) -> list[Array]:
+        """Cotangents, of recorded steps."""
+        del once
+
+        def pulled(varied, record, asked):
+            make = lambda varied: self.made(inputs_of(varied))
+            return pulled_back(make, varied, jnp.asarray(self.mode), record, asked)
+
+        asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
+        call = in_one_program_or_not if self.native else _called
+        return call(pulled, varied, record, asked)
+
+
+def _called(function: Callable, *arguments: Any) -> Any:
+    """What a function gives, as a part of XLA's program."""
+    return function(*arguments)
+
+
+def _floats(outputs: Any) -> list[Array]:
+    return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
+
+
+def _ended(motion: Motion, c: Run, outputs: int, allowed, spoilt) -> HybridOutcome:
+    """What came out of the loop, and why it ended."""
+    code = jnp.where((c.code == 0) & (c.path.index < outputs), Code.MAX_STEPS, c.code)
+    stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
+    code = jnp.where(stuck, Code.BAD_START, code)
+    code = _explained(motion, allowed, code, c.place)
+    t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
+    found = _outcome(c.path, t, last, code, c.accepted, rejected)
+    states = lambda s: (s.state, s.switches.state, s.final_state)
+    spoil = lambda x: x + spoilt if eqx.is_inexact_array(x) else x
+    return eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
+
+
+def _refuse_twice(*arguments):
+    """An event's time has its first derivative only: one Newton step of value zero."""
+    del arguments
+    problem = "has no second derivatives"
+    remedy = "leave modes out, or take differences of first derivatives"
+    raise FieldError("simulate.modes", "...", problem, remedy)
+
+
+def _explained(motion: Motion, allowed, code, place: Place) -> Array:
+    """The code of a run, where it got stuck by what stopped it."""
+    stuck = is_stuck(code)
+    scene, mu = motion.scenes.rolling, motion.modes.friction
+    touches = place.mode != Mode.FLYING
+    if has_edges(scene):
+        at_end = at_an_edge(scene, place.t, place.y.rolling())
+        code = jnp.where(stuck & touches & at_end, Code.SURFACE_EDGE, code)
+    if mu is not None:
+        slides = slipping(scene, mu, place.direction, place.y)
+        margin = painleve_margin(slides, place.t, place.y.sliding())
+        jams = (place.mode == Mode.SLIPPING) & (margin < LEAST_MARGIN)
+        code = jnp.where(stuck & jams, Code.PAINLEVE, code)
+    if allowed is None:
+        return code
+    touched = lambda scene, t, y: code_of_touch(code, scene, t, y)
+    return as_it_is(touched, scene, place.t, place.mode, place.y)
+
+
+def _outcome(path: Path, t, last, code, steps, rejected) -> HybridOutcome:
+    none = jnp.asarray(NO_FAULT)
+    parts = path.saved, path.switches, code, t, last, steps, rejected, none
+    return HybridOutcome(*parts)

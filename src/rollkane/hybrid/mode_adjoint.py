@@ -1,0 +1,197 @@
+"""Cotangents of a run in modes: its recorded steps backwards, stage by stage.
+
+A stage is transposed in its own mode alone: JAX's transpose of a loop over stages that
+choose their mode takes a multiple of the time to trace, and keeps what all modes need.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from ..geometry.small_linear import dot, matvec
+from ..kinematics.coordinates import pack, unpack
+from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed, plain_cond
+from .transitions import Seen
+
+
+def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTree:
+    """Cotangents of a run's inputs: its steps backwards, each from where it began.
+
+    Args:
+        make: ``make(varied)`` -> motion, state at the first time, output times.
+        varied: Tree of floats.
+        mode: At the first time.
+        record: Of the accepted steps.
+        asked_of: Cotangents of path, time and state, as ``mode_replay.replayed`` gives
+            them; those of integers are not looked at.
+    """
+    (saved, _, switches), t, last = asked_of
+
+    def asked_by(row, number):
+        """What outputs and switches ask of the end of a step."""
+        output, event = row[OUTPUT].astype(int), row[KIND] >= 0
+        part = lambda where, array, i: jnp.where(where, array[i], 0.0)
+        at_output = lambda array: part(output > 0, array, output)
+        at_event = lambda array: part(event, array, number)
+        y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
+        time, changed = jax.tree.map(at_event, (switches.time, switches.state))
+        return time, jax.tree.map(jnp.add, y, changed), direction
+
+    def one(carry):
+        i, number, asked, moved = carry
+        place = jax.tree.map(lambda x: x[i], record.kept)
+        number = number - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
+        row, turn = record.step(i, number)
+        asked = list(asked), list(asked_by(row, number))
+        own, asked = _through_step(make, varied, place, row, turn, asked)
+        return i - 1, number, asked, jax.tree.map(jnp.add, moved, own)
+
+    asked, none = (t, last.parts, last.direction), jax.tree.map(jnp.zeros_like, varied)
+    events = jnp.sum(record.steps[:, KIND] >= 0)
+    carry = record.count - 1, events, asked, none
+    *_, asked, moved = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+
+    def start(varied):
+        motion, y, times = make(varied)
+        place = begun(motion, mode, y, times)
+        return place.t, place.y, place.direction
+
+    first = jax.tree.map(lambda x: x[0], (saved.parts, saved.direction))
+    asked = asked[0], *jax.tree.map(jnp.add, asked[1:], first)
+    (own,) = jax.vjp(start, varied)[1](asked)
+    return jax.tree.map(jnp.add, moved, own)
+
+
+def _through_step(make: Callable, varied, place: Place, row, turn, asked):
+    """Cotangents of the inputs, and of time, state and direction before a step.
+
+    Args:
+        make: As for :func:`pulled_back`.
+        varied: Likewise.
+        place: Where the step began.
+        row: Of the record.
+        turn: What was recorded of its event.
+        asked: Cotangents of time, state and direction where the next step begins, and
+            of those that are shown.
+    """
+    motion, _, times = make(varied)
+    ends = landed(times, row)
+    t, y, mode, direction = place
+    known, end, _, last = motion.stages(mode, direction, t, ends, y)
+
+    def after(varied, direction, end, last):
+        motion, _, times = make(varied)
+        at = place._replace(direction=direction)
+        known = row, turn, landed(times, row), end, last
+        both = behind(motion, at, *known, cond=_cond)
+        return [[p.t, p.y, p.direction] for p in both]
+
+    _, pull = jax.vjp(after, varied, direction, end, last)
+    own, of_direction, of_end, of_last = pull(list(asked))
+    stages = _Stages(make, varied, place, ends, known)
+    moved, of_place, of_ends = stages.pulled(of_end, of_last)
+    _, pull = jax.vjp(lambda varied: landed(make(varied)[2], row), varied)
+    total = jax.tree.map(lambda *x: sum(x), own, moved, *pull(of_ends))
+    of_t, of_y, more = of_place
+    return total, (of_t, unpack(of_y, y), of_direction + more)
+
+
+@eqx.filter_custom_vjp
+def _chosen(operands, where, then: Callable, other: Callable):
+    return plain_cond(where, then, other, operands)
+
+
+@_chosen.def_fwd
+def _chosen_forwards(perturbed, operands, where, then, other):
+    del perturbed
+    return _chosen(operands, where, then, other), None
+
+
+@_chosen.def_bwd
+def _chosen_backwards(residuals, asked, perturbed, operands, where, then, other):
+    del residuals, perturbed
+    moving, fixed = eqx.partition(operands, eqx.is_inexact_array)
+
+    def pulled(branch: Callable) -> Callable:
+        outputs = lambda moving: eqx.filter(
+            branch(*eqx.combine(moving, fixed)), eqx.is_inexact_array
+        )
+        return lambda: jax.vjp(outputs, moving)[1](asked)[0]
+
+    return jax.lax.cond(where, pulled(then), pulled(other))
+
+
+def _cond(where, then: Callable, other: Callable, operands: tuple) -> Any:
+    """``mode_replay.plain_cond``, each branch of which is transposed by itself."""
+    return _chosen(operands, where, then, other)
+
+
+class _Stages(NamedTuple):
+    """The stages of a recorded step.
+
+    Attributes:
+        make: As for :func:`pulled_back`.
+        varied: Likewise.
+        place: Where the step began.
+        ends: When it ended [s].
+        known: Rates at its stages.
+    """
+
+    make: Callable
+    varied: PyTree
+    place: Place
+    ends: Array
+    known: Float[Array, "s n"]
+
+    def pulled(self, of_end, of_last: Seen):
+        """Cotangents of inputs, of the step's begin, and of the time at which it ends.
+
+        Args:
+            of_end: Cotangent of the state that the last stage is at, in one array.
+            of_last: Of what is seen there.
+        """
+        tableau = self.make(self.varied)[0].tableau
+        t, y, _, direction = self.place
+        start, h = pack(y), self.ends - t
+        last = tableau.nodes.shape[0] - 1
+
+        def one(carry):
+            i, of_rates, total, (of_t, of_start, of_direction), of_ends = carry
+            weights, node = tableau.rows[i], tableau.nodes[i]
+            way = matvec(self.known.T, weights)
+            time = jnp.where(i == last, self.ends, t + node * h)
+            at_end = lambda x: jnp.where(i == last, x, 0.0)
+            asked = of_rates[i], jax.tree.map(at_end, of_last)
+            own, turned, of_time, of_at = self._through(time, start + h * way, asked)
+            of_at = of_at + at_end(of_end)
+            of_h = dot(of_at, way) + node * of_time
+            begin = of_t + of_time - of_h, of_start + of_at, of_direction + turned
+            of_rates = of_rates + h * (weights[:, None] * of_at[None, :])
+            total = jax.tree.map(jnp.add, total, own)
+            return i - 1, of_rates, total, begin, of_ends + of_h
+
+        none = jax.tree.map(jnp.zeros_like, self.varied)
+        begin = jnp.zeros_like(t), jnp.zeros_like(start), jnp.zeros_like(direction)
+        rates, of_ends = jnp.zeros_like(self.known), jnp.zeros_like(t)
+        carry = jnp.asarray(last), rates, none, begin, of_ends
+        *_, total, begin, of_ends = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+        return total, begin, of_ends
+
+    def _through(self, time, at, asked):
+        """Cotangents of inputs, direction, time and state of one stage."""
+        y, mode = self.place.y, self.place.mode
+
+        def pulled_in(number: int):
+            def seen(varied, direction, time, at):
+                motion = self.make(varied)[0]
+                rates, seen = motion.by_mode[number](direction, time, unpack(at, y))
+                return pack(rates), seen
+
+            return lambda asked, *where: jax.vjp(seen, *where)[1](asked)
+
+        where = self.varied, self.place.direction, time, at
+        return jax.lax.switch(mode, [pulled_in(i) for i in range(3)], asked, *where)

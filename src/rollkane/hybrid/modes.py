@@ -1,0 +1,297 @@
+"""What a contact may do in a run that changes: roll, slip, fly; and its states.
+
+A scene whose contact is ``Modes`` has three scenes in it, one for each mode.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..dynamics.directed_friction import DirectedFriction
+from ..dynamics.scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import matvec_transposed
+from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
+from ..validation.checks import FieldError, flag, not_negative, positive, refuse, whole
+
+
+class Mode:
+    """What the contact does: values of ``Trajectory.mode`` and of ``Switches``."""
+
+    ROLLING = 0
+    SLIPPING = 1
+    FLYING = 2
+
+
+IMPACT_LAWS = ("energetic", "newton")
+
+
+class Modes(eqx.Module):
+    """How a run may change between rolling, slipping and flight.
+
+    Attributes:
+        friction: Coefficient of sliding friction [1]; None: the body never slips.
+        static_friction: Of sticking [1].
+        lifts: Whether the contact ends where it would have to pull.
+        restitution: Of a landing [1]; None: nothing lands.
+        rest_speed: Slower rebounds stay in contact [m/s].
+        impact: Law of restitution, ``"energetic"`` or ``"newton"``.
+        switches: How many changes are kept; a run with more ends.
+        contact: How it rolls, where it rolls: that of the scene that is simulated.
+    """
+
+    contact: Rolling
+    friction: Float[Array, ""] | None
+    static_friction: Float[Array, ""] | None
+    restitution: Float[Array, ""] | None
+    rest_speed: Float[Array, ""]
+    lifts: bool = eqx.field(static=True)
+    switches: int = eqx.field(static=True)
+    impact: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        friction=None,
+        static_friction=None,
+        lifts: bool = True,
+        restitution=None,
+        rest_speed=1e-3,
+        switches: int = 64,
+        impact: str = "energetic",
+    ):
+        """Make a choice.
+
+        Args:
+            friction: Coefficient of sliding friction [1], zero or more; None: the body
+                never slips.
+            static_friction: Of sticking [1], that of sliding or more; the same when
+                left out.
+            lifts: Whether the contact ends where it would have to pull.
+            restitution: Of a landing [1], from 0 to 1: none can give energy; None:
+                nothing lands.
+            rest_speed: Rebounds slower than this stay in contact [m/s], positive: so
+                ever smaller ones come to their end.
+            switches: How many changes are kept; a run with more ends.
+            impact: What the restitution is of. ``"energetic"`` (Stronge): its square is
+                the share of the work of compression that is given back; sliding and
+                sticking follow the growing impulse (Routh), which pushes, lies in the
+                friction cone and takes energy whatever the body. ``"newton"``: the
+                ratio of the normal velocities, friction acting along the slip before
+                the impact; a run ends with ``Code.INCONSISTENT_IMPACT`` where that
+                would pull, turn the slip against its friction, or add energy. Of a ball
+                whose mass centre is in its middle both are the same.
+
+        Raises:
+            FieldError: negative numbers, a restitution above one, sticking that holds
+                less than sliding, an unknown law.
+        """
+        self.contact = Rolling()
+        self.friction = self.static_friction = self.restitution = None
+        if friction is not None:
+            unit = "without unit"
+            static = friction if static_friction is None else static_friction
+            self.friction = not_negative("Modes.friction", friction, unit)
+            static = not_negative("Modes.static_friction", static, unit)
+            self.static_friction = refuse(
+                static,
+                static < self.friction,
+                "Modes.static_friction",
+                "is below that of sliding: a contact that grips would slip at once",
+                "give as much as friction, or more",
+            )
+        elif static_friction is not None:
+            raise FieldError(
+                "Modes.static_friction",
+                static_friction,
+                "is of no use without friction: the body never slips",
+                "give friction=, too",
+            )
+        if restitution is not None:
+            self.restitution = refuse(
+                not_negative("Modes.restitution", restitution, "without unit"),
+                lambda e: ~(e <= 1.0),
+                "Modes.restitution",
+                "must not be above 1: a rebound would give energy",
+                "give a number from 0 (plastic) to 1 (elastic)",
+            )
+        self.rest_speed = positive("Modes.rest_speed", rest_speed, (), "a speed in m/s")
+        self.lifts = flag("Modes.lifts", lifts)
+        remedy = "give how many changes are to be kept"
+        self.switches = whole("Modes.switches", switches, 1, remedy)
+        if impact not in IMPACT_LAWS:
+            known = f"use one of {IMPACT_LAWS}"
+            raise FieldError("Modes.impact", impact, "is not known", known)
+        self.impact = impact
+
+    @property
+    def does_work(self) -> bool:
+        """Whether slips or landings may take energy."""
+        return self.friction is not None or self.restitution is not None
+
+
+class _RollingThatLifts(Rolling):
+    """Rolling, in a run that ends the contact where it would pull."""
+
+    @property
+    def one_sided(self) -> bool:
+        return True
+
+
+class _RubberThatLifts(RubberRolling):
+    """Without spin about the normal, too."""
+
+    @property
+    def one_sided(self) -> bool:
+        return True
+
+
+class HybridState(State):
+    """A state that can be in every mode; what the mode does not use stands still."""
+
+    slip: Float[Array, "3"]
+    position: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+
+    def rolling(self) -> State:
+        """As a state that rolls."""
+        return State(**shared_parts(self))
+
+    def sliding(self) -> SlidingState:
+        """As a state that slips."""
+        return SlidingState(**shared_parts(self), slip=self.slip)
+
+    def flying(self) -> FlyingState:
+        """As a state in flight."""
+        parts = shared_parts(self)
+        return FlyingState(**parts, position=self.position, velocity=self.velocity)
+
+
+def of(state: Any) -> HybridState:
+    """A state of one mode among all; what it does not have is zero."""
+    zero = jnp.zeros_like(state.angular_velocity)
+    names = "slip", "position", "velocity"
+    own = {name: getattr(state, name, zero) for name in names}
+    return HybridState(**shared_parts(state), **own)
+
+
+class Scenes(NamedTuple):
+    """A scene in every mode."""
+
+    rolling: Scene
+    flying: Scene
+
+
+def in_modes(scene: Scene) -> Scenes:
+    """A scene whose contact is ``Modes``, as it rolls and as it flies."""
+    assert isinstance(scene.contact, Modes)
+    kept = tuple(load for load in scene.loads if not load.needs_contact)
+    law = scene.contact.contact
+    if scene.contact.lifts:
+        rubber = isinstance(law, RubberRolling)
+        law = _RubberThatLifts() if rubber else _RollingThatLifts()
+    return Scenes(under(scene, law), under(scene, Flying(), kept))
+
+
+def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
+    """A scene that rolls, as it slips; direction of the slip on fixed axes [1].
+
+    Of length 1/2: the slip only begins. It has no derivative: a slip that ends may turn
+    by 1e5 rad/s and more, and what follows does not depend on when it was looked at.
+    """
+    assert isinstance(scene.contact, Rolling)
+    direction = jax.lax.stop_gradient(direction)
+    own = matvec_transposed(rotation_matrix(state.orientation), direction)
+    friction = DirectedFriction(mu, own, scene.contact.one_sided)
+    return under(scene, Slipping(friction))
+
+
+class ModedState(eqx.Module):
+    """A state of a run in modes, with the mode that it was in.
+
+    Attributes:
+        parts: The state in every mode.
+        mode: One of :class:`Mode`; -1 where not reached.
+        direction: Of the slip, FIXED axes [1], shape (3,); while it only begins, where
+            it began, and of length 1/2.
+    """
+
+    parts: HybridState
+    mode: Int[Array, ""]
+    direction: Float[Array, "3"]
+
+    @property
+    def alpha(self) -> Array:
+        """Coordinates of what the body supports, shape (n,)."""
+        return self.parts.alpha
+
+    @property
+    def alpha_dot(self) -> Array:
+        """Their rates, shape (n,)."""
+        return self.parts.alpha_dot
+
+    @property
+    def orientation(self) -> Array:
+        """Quaternion, scalar first, body to fixed axes, of any length [1]."""
+        return self.parts.orientation
+
+    @property
+    def angular_velocity(self) -> Array:
+        """On BODY axes [rad/s], shape (3,)."""
+        return self.parts.angular_velocity
+
+
+def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
+    """An observable of one mode's scene and state, as one of a state in modes.
+
+    Args:
+        observable: Function of a scene, the time [s] and a state.
+    """
+
+    def seen(scene: Scene, t: Array, state: ModedState) -> Any:
+        modes, y = scene.contact, state.parts
+        assert isinstance(modes, Modes)
+        scenes = in_modes(scene)
+        found = [observable(scenes.rolling, t, y.rolling())]
+        slips = found[0]
+        if modes.friction is not None:
+            way = modes.friction, state.direction
+            slides = slipping(scenes.rolling, *way, y)
+            slips = observable(slides, t, y.sliding())
+        found += [slips, observable(scenes.flying, t, y.flying())]
+        pick = lambda *values: jnp.select(
+            [state.mode == m for m in (Mode.ROLLING, Mode.SLIPPING, Mode.FLYING)],
+            values,
+            jnp.nan,
+        )
+        return jax.tree.map(pick, *found)
+
+    return seen
+
+
+class Switches(eqx.Module):
+    """Changes of the mode in a run, in order; unused places are NaN.
+
+    Attributes:
+        time: [s], shape (S,).
+        before: Mode before, one of :class:`Mode`, shape (S,).
+        after: Mode after, shape (S,).
+        state: After the change, every array with a leading S.
+        count: How many there were.
+    """
+
+    time: Float[Array, " S"]
+    before: Int[Array, " S"]
+    after: Int[Array, " S"]
+    state: HybridState
+    count: Int[Array, ""]
+
+    @property
+    def first_lift(self) -> Float[Array, ""]:
+        """When the contact was first lost [s]; NaN where it never was."""
+        lost = (self.after == Mode.FLYING) & (self.before != Mode.FLYING)
+        first = jnp.min(jnp.where(lost, self.time, jnp.inf), axis=-1)
+        return jnp.where(jnp.isfinite(first), first, jnp.nan)

@@ -1,0 +1,1 @@
+"""Runge-Kutta steps, their derivatives, and the backends: C and diffrax."""

@@ -1,0 +1,430 @@
+"""Integrate any right-hand side in time, with derivatives along the recorded steps.
+
+What moves is a tree of numbers (a model: a scene, a system) and a state; the rest of
+the library only says which function gives the rates.
+"""
+
+import functools
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+from jaxtyping import Array, Float
+
+from ..codegen import zeros_of
+from ..codegen.compile_effort import around_a_loop
+from ..codegen.tableau import weights_of
+from ..kinematics.coordinates import pack, unpack
+from ..validation.checks import FieldError, cleared, is_traced, real, whole
+from ..validation.codes import NO_FAULT, Code, first_fault
+from . import replay
+from .differentiate import differentiable
+from .projection import BroughtBack
+from .replay import Run, Steps
+from .solve import Plan, Problem, Solution, landings_of, plain, solve
+from .step_control import Stops, of_times, stops_of
+
+# Relative tolerance above which a step may be as wrong as it is long.
+LOOSEST = 0.1
+# Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
+_CHECKPOINTS = 4096
+_NO_METER = dfx.NoProgressMeter()
+
+
+class Outcome(eqx.Module):
+    """What came out of an integration.
+
+    Attributes:
+        time: Of the outputs [s], shape (T,).
+        state: At the outputs, every array with a leading T; NaN where not reached.
+        code: Why the run ended, one of :class:`Code`.
+        final_time: Time that was reached [s].
+        final_state: State at that time.
+        steps: Accepted steps.
+        rejected_steps: Rejected steps.
+        fault: Which number of model, start or times cannot be used; see
+            :class:`rollkane.validation.codes.Fields`.
+    """
+
+    time: Float[Array, " T"]
+    state: Any
+    code: Array
+    final_time: Array
+    final_state: Any
+    steps: Array
+    rejected_steps: Array
+    fault: Array
+
+
+def integrate(
+    problem: Problem,
+    model: Any,
+    start: Any,
+    times: Float[Array, " T"],
+    *,
+    rtol: Any,
+    atol: Any,
+    solver: dfx.AbstractSolver | None,
+    stepsize_controller: dfx.AbstractStepSizeController | None,
+    adjoint: dfx.AbstractAdjoint | None,
+    saveat: dfx.SaveAt | None,
+    dt0: Any,
+    max_steps: int | None,
+    progress_meter: dfx.AbstractProgressMeter | None,
+    native: bool = False,
+    allowed: Callable | None = None,
+) -> Outcome:
+    """Integrate a start to the asked times; see ``rollkane.simulate``.
+
+    Args:
+        problem: Which function gives the rates.
+        model: Tree of numbers that it depends on; differentiable.
+        start: State at the first time; differentiable.
+        times: Checked output times [s].
+        rtol: Relative tolerance of a step [1], or None.
+        atol: Absolute tolerance of a step [unit of the state], or None.
+        solver: diffrax solver, or None for the default.
+        stepsize_controller: diffrax controller, or None.
+        adjoint: diffrax adjoint, or None.
+        saveat: diffrax ``SaveAt``, or None.
+        dt0: First step [s], or None.
+        max_steps: Most steps, or None.
+        progress_meter: diffrax progress meter, or None.
+        native: Whether the loop is the one in C, which has diffrax's explicit methods
+            and no controller, adjoint, ``saveat`` and progress meter of the user's.
+        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
+            anywhere.
+
+    Raises:
+        FieldError: tolerances out of range.
+        NotElementwiseError: the rates are more than arithmetic, and cannot be in C.
+        NoCompilerError: there is no C compiler.
+    """
+    dtype = times.dtype
+    by_size = atol is None
+    rtol, atol = tolerances(rtol, atol, dtype)
+    check_steps(max_steps, dt0)
+    plan = Plan(
+        problem=problem,
+        solver=default_solver(rtol) if solver is None else solver,
+        controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=saveat,
+        max_steps=max_steps,
+        progress_meter=_NO_METER if progress_meter is None else progress_meter,
+        zeros=tuple(map(zeros_of, jax.tree.leaves(model))) if native else None,
+        allowed=allowed,
+    )
+    stops = stops_of(times)
+    numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
+    dt0 = None if dt0 is None else _scalar(dt0, dtype)
+    call = _around_loop if native else _integrate
+    if stepsize_controller is None and saveat is None:
+        return call(plan, None, model, start, times, stops, numbers, dt0)
+    arrays, plan = eqx.partition(plan, eqx.is_array)
+    return call(plan, arrays, model, start, times, stops, numbers, dt0)
+
+
+def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
+    plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+    if isinstance(plan.solver, BroughtBack):
+        plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
+
+    @jax.jit  # traced once, however often the integrator evaluates it
+    def rates(t, y, model):
+        return pack(plan.problem.derivative(model, t, unpack(y, like)))
+
+    def one(inputs, replay, adjoint):
+        *inputs, spoilt = inputs
+        found, record = solve(plan, rates, like, tuple(inputs), replay, adjoint)
+        numbers = lambda s: (s.y, s.final_y)
+        return eqx.tree_at(numbers, found, replace_fn=lambda x: x + spoilt), record
+
+    fault, code_of_fault = first_fault(model, start, in_order(times))
+    good = fault == NO_FAULT
+    fixed_stops = jax.lax.stop_gradient(stops.time)
+    start = plan.problem.consistent(model, fixed_stops[0], start)
+    y0 = pack(start)
+    # NaN would keep the step controller going for ever; zero stops it at the start
+    y0 = cleared(y0, good & jnp.all(jnp.isfinite(y0)))
+    y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
+    rtol, atol, by_size = tolerances
+    sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
+    atol = atol * jnp.where(by_size, sizes, 1.0)
+    spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
+    inputs = (model, y0, fixed_stops, rtol, atol, dt0, spoilt)
+    if plan.adjoint is None:
+        by_steps = _by_steps(plan, rates) if plain(plan, times) else (None, None)
+        solution = differentiable(
+            one, inputs, _CHECKPOINTS, *by_steps, unknown=lambda s: s.unknown
+        )
+    else:
+        solution = one(inputs, None, plan.adjoint)[0]
+    if plan.saveat is None:
+        solution = _in_time(solution, rates, times, stops, model)
+    else:
+        refused = _not_by_times(jnp.zeros_like(times[0]), times)
+        numbers = lambda s: (s.y, s.final_y, s.final_time)
+        solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
+    return Outcome(
+        time=times if plan.saveat is None else solution.time,
+        state=unpack(solution.y, like),
+        code=jnp.where(good, solution.code, code_of_fault),
+        final_time=solution.final_time,
+        final_state=unpack(solution.final_y, like),
+        steps=solution.steps,
+        rejected_steps=solution.rejected_steps,
+        fault=fault,
+    )
+
+
+# plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
+_jit = functools.partial(jax.jit, _integrated, static_argnums=0)
+_integrate, _around_loop = _jit(), around_a_loop(_jit)
+
+
+def _in_time(solution: Solution, rates, times, stops: Stops, model) -> Solution:
+    """The outputs at their stops, and how everything moves with the times."""
+    y, final_y, code = solution.y, solution.final_y, solution.code
+    if stops.last is not None:
+        # a span below the clock's steps is no motion
+        instant = stops.last[-1] == 0
+        y = jnp.where(instant, y[:1], y[stops.last])
+        final_y = jnp.where(instant, y[0], final_y)
+        code = jnp.where(instant, Code.COMPLETED, code)
+    move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
+    ended = code == Code.COMPLETED
+    # where a run stops of itself does not follow the last time
+    return Solution(
+        time=solution.time,
+        y=move(y, times),
+        final_time=jnp.where(ended, times[-1], solution.final_time),
+        final_y=_moved_in_time(rates, final_y, times[-1], model, 1.0),
+        code=code,
+        steps=solution.steps,
+        rejected_steps=solution.rejected_steps,
+    )
+
+
+def _by_steps(plan: Plan, rates) -> tuple[Callable, Callable]:
+    """Derivatives of a plain run along its steps; see :func:`differentiable`."""
+    weights = weights_of(plan.solver, "a run")
+
+    def run_of(inputs_of, varied, record):
+        along = lambda t, y, *varied: rates(t, y, inputs_of(varied)[0])
+        start = lambda *varied: inputs_of(varied)[1]
+        model, _, times, *_ = inputs_of(varied)
+        begun, count, kept = record
+        jumps = landings_of(model, times, plan).jumps
+        steps = Steps.of(begun, count, kept, times, jumps)
+        return Run(along, start, varied, weights), steps
+
+    def push(inputs_of, varied, record, tangents, once):
+        run, steps = run_of(inputs_of, varied, record)
+        behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
+        y, final_y = (
+            jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
+        )
+        time = jnp.zeros(y.shape[:2], y.dtype)
+        return [time, y, time[:, 0], final_y]  # as in Solution
+
+    def pull(inputs_of, varied, record, asked, once):
+        run, steps = run_of(inputs_of, varied, record)
+        return replay.pull(run, steps, asked.y, asked.final_y, once)
+
+    return push, pull
+
+
+@eqx.filter_custom_jvp
+def _moved_in_time(rates, y, t, model, sign):
+    """``y``, with the derivative that a change of its time ``t`` brings.
+
+    Output times are not part of the replayed solve; a later output has moved on by
+    the rates (sign +1), a later start stands for an earlier state (sign -1).
+    """
+    del rates, t, model, sign
+    return y
+
+
+@_moved_in_time.def_jvp
+def _moved_in_time_jvp(primals, tangents):
+    rates, y, t, model, sign = primals
+    _, y_dot, t_dot, _, _ = tangents
+    y_dot = jnp.zeros_like(y) if y_dot is None else y_dot
+    if t_dot is not None:
+        y_dot = y_dot + sign * rates(t, y, model) * t_dot
+    return y, y_dot
+
+
+@jax.custom_jvp
+def _not_by_times(x: Array, times: Array) -> Array:
+    """A number, of which derivatives by the times are refused."""
+    del times
+    return x
+
+
+@functools.partial(_not_by_times.defjvp, symbolic_zeros=True)
+def _not_by_times_jvp(primals, tangents):
+    x_dot, by_times = tangents
+    if not isinstance(by_times, SymbolicZero):
+        raise FieldError(
+            "simulate.saveat",
+            "...",
+            "cannot be differentiated by the times",
+            "leave saveat out: outputs at times are",
+        )
+    x = primals[0]
+    return x, jnp.zeros_like(x) if isinstance(x_dot, SymbolicZero) else x_dot
+
+
+_warned: set[str] = set()
+
+
+def _warn_once(kind: type[Warning], what: str, text: str, below: int = 4) -> None:
+    """Warn of something once, at the line of the caller that many levels up."""
+    if what not in _warned:
+        _warned.add(what)
+        warnings.warn(text, kind, stacklevel=below)
+
+
+def warn_single_precision(dtype) -> None:
+    """Say once what single precision costs, where the program has not chosen it."""
+    if dtype == jnp.float32 and jnp.result_type(float) == dtype:
+        _warn_once(
+            UserWarning,
+            "precision",
+            "rollkane runs in single precision: about 6 digits, and tolerances below "
+            '1e-6 cannot be met. jax.config.update("jax_enable_x64", True) at the '
+            "start of the program gives double precision.",
+        )
+
+
+def warn_without_compiler(why: str) -> None:
+    """Say once why the loop in C is not used, where it would be."""
+    _warn_once(
+        RuntimeWarning,
+        "compiler",
+        f"the loop in C is not to be had here, and diffrax takes its place, some ten "
+        f"times slower: {why}",
+        below=5,
+    )
+
+
+def check_steps(max_steps: Any, dt0: Any) -> None:
+    """Refuse a number of steps that is none, and a first step without length.
+
+    Raises:
+        FieldError: they are given and no such numbers.
+    """
+    if max_steps is not None:
+        whole("simulate.max_steps", max_steps, 1, "give how many steps may be taken")
+    if dt0 is not None and not is_traced(dt0):
+        number = not isinstance(dt0, (str, bytes, bool)) and np.ndim(dt0) == 0
+        if not (number and 0.0 < float(dt0) < np.inf):
+            problem = "must be a positive number, backwards in time, too"
+            remedy = "give the length of the first step [s], or leave it out"
+            raise FieldError("simulate.dt0", dt0, problem, remedy)
+
+
+def _scalar(x, dtype):
+    return x.astype(dtype) if is_traced(x) else np.asarray(x, dtype)
+
+
+def checked_times(times: Any, dtype) -> Float[Array, " T"]:
+    """Output times [s] of the state's dtype.
+
+    Raises:
+        FieldError: times that are not two or more, or not strictly monotonic.
+    """
+    field = "simulate.times"
+    if is_traced(times):
+        return real(field, times, (None,), "output times in seconds").astype(dtype)
+    try:
+        times = np.asarray(times, dtype)
+    except (TypeError, ValueError) as error:
+        raise FieldError(
+            field, times, "must be made of numbers", "give output times in seconds"
+        ) from error
+    if times.ndim != 1 or times.shape[0] < 2:
+        raise FieldError(
+            field, times, "must hold a start and an end", "give two times or more"
+        )
+    if not of_times(_one_way, times):
+        raise FieldError(
+            field,
+            times,
+            "must be finite and strictly increasing or strictly decreasing",
+            "sort them and leave out repeated ones",
+        )
+    return times
+
+
+def _one_way(times: np.ndarray) -> bool:
+    """Whether times are all later, or all earlier, than the one before."""
+    steps = np.diff(times)
+    return bool(np.all(steps > 0) or np.all(steps < 0))  # not so for NaN either
+
+
+def in_order(times: Float[Array, " T"]) -> Array:
+    """Whether times are finite, and all later or all earlier than the one before."""
+    steps = jnp.diff(times)
+    one_way = jnp.all(steps > 0) | jnp.all(steps < 0)
+    return one_way & jnp.all(jnp.isfinite(times))
+
+
+def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+    """Tolerances, with the defaults of a precision for those that are None."""
+    plain = type(rtol) in _PLAIN and type(atol) in _PLAIN
+    return (_plain_tolerances if plain else _tolerances)(rtol, atol, np.dtype(dtype))
+
+
+def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+    for field, value in (("rtol", rtol), ("atol", atol)):
+        if isinstance(value, (str, bytes, bool)):
+            raise FieldError(
+                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
+            )
+    double = dtype == jnp.float64
+    rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
+    atol = 0.01 * rtol if atol is None else atol
+    least = 10 * float(np.finfo(np.dtype(dtype)).eps)
+    for field, value, floor in (("rtol", rtol, least), ("atol", atol, 0.0)):
+        if is_traced(value):
+            continue
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise FieldError(
+                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
+            )
+        if value < floor:
+            raise FieldError(
+                f"simulate.{field}",
+                value,
+                f"is below what {dtype} can hold",
+                f"give {floor:.1g} or more"
+                + ("" if double else ", or use double precision"),
+            )
+    if not is_traced(rtol) and rtol > LOOSEST:
+        raise FieldError(
+            "simulate.rtol",
+            rtol,
+            "leaves no digit of the motion right",
+            f"give {LOOSEST:g} or less, 1e-9 for instance",
+        )
+    return rtol, atol
+
+
+_PLAIN = float, type(None)
+_plain_tolerances = functools.lru_cache(64)(_tolerances)
+_FINE, _COARSE = dfx.Dopri8(), dfx.Tsit5()
+
+
+def default_solver(rtol) -> dfx.AbstractSolver:
+    """Dopri8 where many digits are asked for, Tsit5 where few are."""
+    return _FINE if is_traced(rtol) or rtol < 1e-6 else _COARSE

@@ -1,0 +1,195 @@
+"""Steps that are brought back onto what the motion keeps."""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..dynamics.observables import energy, kinetic_energy
+from ..dynamics.scene import Scene
+from ..kinematics.coordinates import State, pack, unpack
+from ..validation.checks import FieldError
+
+
+class _Corrected(dfx.AbstractLocalInterpolation):
+    """A solver's interpolation, which ends where the step was brought back to."""
+
+    kind: Callable = eqx.field(static=True)
+    dense: Any
+    change: Float[Array, " y"]
+    t0: Any
+    t1: Any
+
+    def evaluate(self, t0, t1=None, left=True):
+        """At a time; the difference of two times where both are given."""
+        if t1 is not None:
+            return self.evaluate(t1) - self.evaluate(t0)
+        inner = self.kind(t0=self.t0, t1=self.t1, **self.dense)
+        span = self.t1 - self.t0
+        share = jnp.where(span == 0.0, 1.0, (t0 - self.t0) / span)
+        return inner.evaluate(t0, left=left) + share * self.change
+
+
+class BroughtBack(dfx.AbstractWrappedSolver):
+    """A solver whose every step is brought back onto something.
+
+    Attributes:
+        solver: A diffrax solver.
+        like: Sizes of the state; set by ``simulate``.
+    """
+
+    solver: dfx.AbstractSolver
+    like: Any = eqx.field(static=True, default=None)
+
+    @property
+    def term_structure(self):
+        """That of the solver."""
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):
+        """That of the solver, and what was brought back."""
+        return functools.partial(_Corrected, self.solver.interpolation_cls)
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        """That of the solver."""
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):
+        """That of the solver."""
+        return getattr(self.solver, "scan_kind", None)
+
+    def order(self, terms):
+        """That of the solver."""
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        """That of the solver."""
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        """That of the solver."""
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        """That of the solver."""
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def func(self, terms, t0, y0, args):
+        """That of the solver."""
+        return self.solver.func(terms, t0, y0, args)
+
+    def advanced(self, terms, t0, t1, y0, args, memory, keep: Callable):
+        """A step of the solver, its end brought back by a function of the state."""
+        # rates that the solver remembers from its own end would be slightly others
+        made_jump = True
+        stepped = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
+        y1, error, dense, memory, result = stepped
+        kept = pack(keep(unpack(y1, self.like)))
+        return kept, error, {"dense": dense, "change": kept - y1}, memory, result
+
+    def of(self, like: Any) -> "BroughtBack":
+        """For states of known sizes."""
+        return dataclasses.replace(self, like=like)
+
+
+class Keeping(BroughtBack):
+    """A solver whose every step ends on the integrals of the motion.
+
+    For long runs and for motions next to a separatrix, where the rounding of one step
+    decides when the next turn comes. What is kept, and how, is the user's to know.
+
+    Attributes:
+        solver: A diffrax solver.
+        keep: ``keep(state)`` -> the state that the motion can have: a function of
+            ``State`` or ``KaneState`` that moves it by no more than the error of a
+            step. Its constants are fixed; derivatives pass through it.
+        like: Sizes of the state; set by ``simulate``.
+    """
+
+    keep: Callable[[Any], Any] = eqx.field(static=True, kw_only=True)
+
+    def __init__(self, solver: dfx.AbstractSolver, keep: Callable, like: Any = None):
+        """Make one of a solver and a function of the state (see the class)."""
+        self.solver, self.keep, self.like = solver, keep, like
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """A step of the solver, brought back."""
+        del made_jump
+        return self.advanced(terms, t0, t1, y0, args, solver_state, self.keep)
+
+
+class KeepingEnergy(BroughtBack):
+    """A solver whose every step ends on the energy with which its run began.
+
+    The energy is that of the scene which is run, at its own first state.
+
+    Attributes:
+        solver: A diffrax solver.
+        like: Sizes of the state; set by ``simulate``.
+    """
+
+    def init(self, terms, t0, t1, y0, args):
+        """That of the solver, and the energy [J] at the beginning."""
+        memory = self.solver.init(terms, t0, t1, y0, args)
+        return memory, energy(args, t0, unpack(y0, self.like))
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        """A step of the solver, brought back by scaling the angular velocity."""
+        del made_jump
+        memory, wanted = solver_state
+        keep = functools.partial(_with_energy, args, t1, wanted)
+        *ended, memory, result = self.advanced(terms, t0, t1, y0, args, memory, keep)
+        return *ended, (memory, wanted), result
+
+
+def _with_energy(scene: Scene, t, wanted, state: State) -> State:
+    """The state, its angular velocity scaled to an energy [J]."""
+    moving = kinetic_energy(scene, t, state)
+    resting = energy(scene, t, state) - moving
+    scale = jnp.sqrt((wanted - resting) / moving)
+    turned = scale * state.angular_velocity
+    return eqx.tree_at(lambda s: s.angular_velocity, state, turned)
+
+
+def keeping_energy(
+    scene: Scene, start: State | None = None, solver: dfx.AbstractSolver | None = None
+) -> KeepingEnergy:
+    """A solver whose every step ends on the energy [J] with which its run began.
+
+    The angular velocity is scaled by what the step's error asks for.
+
+    Args:
+        scene: One that keeps its energy; that which is run must do so, too.
+        start: Not used: the energy is that of the start which is run. The body must
+            move there.
+        solver: A diffrax solver; ``Dopri8()`` when left out.
+
+    Raises:
+        FieldError: a scene whose energy may change, or that carries coordinates.
+    """
+    del start
+    check_keeps_energy("keeping_energy.scene", scene)
+    return KeepingEnergy(dfx.Dopri8() if solver is None else solver)
+
+
+def check_keeps_energy(field: str, scene: Scene) -> None:
+    """Refuse a scene whose energy may change, or that carries coordinates.
+
+    Raises:
+        FieldError: it does.
+    """
+    if scene.does_work or scene.base.motion is not None or scene.coordinate_count:
+        raise FieldError(
+            field,
+            scene,
+            "does not keep its energy, or carries coordinates",
+            "leave out what does work, or write the function for Keeping yourself",
+        )

@@ -1,0 +1,360 @@
+"""One solve: by diffrax, or by the loop in C; adaptive, or along recorded steps."""
+
+import functools
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple, cast
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..codegen import Course, RunLoop
+from ..codegen.tableau import is_plain, weights_of
+from ..kinematics.coordinates import unpack
+from ..validation.checks import is_traced
+from ..validation.codes import Code
+from .replay import STEPS_BETWEEN
+from .step_control import Landings, LandOn, ReplaySteps, first_step, landings, refusing
+
+# Steps that a derivative can follow: the record takes 13 bytes a step.
+_RECORDED_STEPS = 2**16
+# A run that creeps towards a singular place must end: a minute at the slowest.
+UNRECORDED_STEPS = 2**22
+
+
+class Problem(NamedTuple):
+    """What is integrated; the same object for the same kind of motion.
+
+    Attributes:
+        derivative: ``derivative(model, t, state)`` -> rates, as a state.
+        quickness: ``quickness(state)`` -> speeds [rad/s] that limit the first step.
+        sizes: ``sizes(state)`` -> what the default absolute tolerance is multiplied by,
+            as a state.
+        corners: ``corners(model)`` -> times at which the right-hand side has a corner
+            [s], or None, and whether it may jump there.
+        consistent: ``consistent(model, t, state)`` -> the state as the constraints
+            allow it.
+        unbroken: ``unbroken(model, like)`` -> ``vectors(model, t, state)``, a list of
+            plane vectors none of which a step may reverse; None: every step may stand.
+            ``like`` has the shapes of a state.
+    """
+
+    derivative: Callable
+    quickness: Callable
+    sizes: Callable
+    corners: Callable
+    consistent: Callable = lambda model, t, state: state
+    unbroken: Callable = lambda model, like: None
+
+
+class Plan(NamedTuple):
+    """How to integrate: everything that does not change from call to call.
+
+    Attributes:
+        problem: What is integrated.
+        solver: diffrax solver.
+        controller: diffrax controller, or None for the default.
+        adjoint: diffrax adjoint, or None for the derivative along recorded steps.
+        saveat: diffrax ``SaveAt``, or None for the times.
+        max_steps: Most steps, or None.
+        progress_meter: diffrax progress meter.
+        zeros: For the loop in C, which numbers of the model are zero; None: for
+            diffrax.
+        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
+            anywhere.
+    """
+
+    problem: Problem
+    solver: dfx.AbstractSolver
+    controller: dfx.AbstractStepSizeController | None
+    adjoint: dfx.AbstractAdjoint | None
+    saveat: dfx.SaveAt | None
+    max_steps: int | None
+    progress_meter: dfx.AbstractProgressMeter
+    zeros: tuple[bytes, ...] | None
+    allowed: Callable | None = None
+
+
+class Solution(eqx.Module):
+    """What a solve gives; see :class:`rollkane.integration.integrate.Outcome`."""
+
+    time: Array
+    y: Array
+    final_time: Array
+    final_y: Array
+    code: Array
+    steps: Array
+    rejected_steps: Array
+
+    @property
+    def unknown(self) -> "Solution":
+        """What of it has no derivative: what was not reached, and where a run stopped.
+
+        A run that stops of itself does so at a time that depends on everything.
+        """
+        lost = jax.tree.map(lambda x: x != x, self)
+        stopped = self.code != Code.COMPLETED
+        where = lambda s: (s.final_time, s.final_y)
+        return eqx.tree_at(where, lost, replace_fn=lambda x: x | stopped)
+
+
+def solve(plan: Plan, rates: Callable, like: Any, inputs: tuple, replay: Any, adjoint):
+    """One solve; see :func:`rollkane.integration.differentiate.differentiable`.
+
+    Args:
+        plan: How.
+        rates: ``rates(t, y, model)`` -> those of the packed state, shape (n,).
+        like: Shapes of a state.
+        inputs: Model, first packed state, times [s], tolerances, first step [s] or
+            None.
+        replay: Record of steps to take; None: adaptive ones.
+        adjoint: diffrax adjoint; None: it is not differentiated.
+
+    Returns:
+        What came out, and the record: where steps began, and the last one ended [s],
+        how many there are, and for plain runs the states where every 16th began.
+    """
+    if plan.zeros is None:
+        return _by_diffrax(plan, rates, like, inputs, replay, adjoint)
+    return _natively(plan, rates, like, inputs, adjoint is not None)
+
+
+def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
+    model, y0, times, rtol, atol, *_ = inputs
+    t0, t1 = times[0], times[-1]
+    dt0 = _first_step(plan, like, inputs)
+    dt0 = jnp.where(t1 < t0, -dt0, dt0)
+    if replay is not None:
+        jumps = landings_of(model, times, plan).jumps
+        controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
+        dt0 = None
+    else:
+        controller = plan.controller or _landing(model, times, rtol, atol, plan)
+        if isinstance(controller, dfx.StepTo):
+            dt0 = None  # it has its own first step, and refuses another
+        holds = _holds(plan, model, like)
+        if holds is not None:
+            controller = refusing(controller, holds)
+    wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
+    subs = [wanted, dfx.SubSaveAt(t1=True)]
+    recording = replay is None and adjoint is not None and plan.adjoint is None
+    if recording:
+        # kept as if they were states: diffrax works on all the times that it returns
+        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: t))
+        if plain(plan, times):
+            subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
+    max_steps = plan.max_steps
+    if max_steps is None:
+        custom = plan.saveat is not None or plan.controller is not None
+        bounded = recording or replay is not None or custom
+        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
+    solve = functools.partial(dfx.diffeqsolve, dfx.ODETerm(rates), plan.solver)
+    with _checked_before(plan):
+        solution = solve(
+            *(t0, t1, dt0, y0, model),
+            saveat=dfx.SaveAt(subs=subs),
+            stepsize_controller=controller,
+            adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
+            max_steps=max_steps,
+            throw=False,
+            progress_meter=plan.progress_meter,
+        )
+    time, final_time, *_ = cast(list, solution.ts)
+    y, final_y, *recorded = cast(list, solution.ys)
+    y = jnp.where(jnp.isfinite(y), y, jnp.nan)
+    outcome = Solution(
+        time=time,
+        y=y,
+        final_time=final_time[-1],
+        final_y=final_y[-1],
+        code=_code(solution.result, final_time[-1] == t0),
+        steps=solution.stats["num_accepted_steps"],
+        rejected_steps=solution.stats["num_rejected_steps"],
+    )
+    # begins of steps, how many there are, and what states were kept of them
+    record = (recorded[0], outcome.steps, *recorded[1:]) if recording else None
+    return outcome, record
+
+
+def _holds(plan: Plan, model: Any, like: Any) -> Callable | None:
+    """Whether a step may stand, from its ends; None: every one may."""
+    vectors, allowed = plan.problem.unbroken(model, like), plan.allowed
+    if vectors is None and allowed is None:
+        return None
+
+    def holds(model, t0, y0, t1, y1):
+        first, last = unpack(y0, like), unpack(y1, like)
+        stands = jnp.asarray(True)
+        if vectors is not None:
+            ends = vectors(model, t0, first), vectors(model, t1, last)
+            for a, b in zip(*ends, strict=True):
+                stands &= a[0] * b[0] + a[1] * b[1] > 0.0
+        if allowed is not None:
+            stands &= allowed(model, t1, last)
+        return stands
+
+    return holds
+
+
+_TRACING = threading.RLock()
+
+
+class _WithoutCallbacks:
+    """equinox's internal functions, but that traced checks leave no host callback."""
+
+    def __init__(self, checked: Any):
+        self._checked = checked
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._checked, name)
+
+    def error_if(self, x, pred, message):
+        """The value; refused at once where it is known to be bad."""
+        return x if is_traced(x, pred) else self._checked.error_if(x, pred, message)
+
+
+@contextmanager
+def _checked_before(plan: Plan) -> Iterator[None]:
+    """Trace diffrax without its checks of times and first step, which are made here.
+
+    It has no way to leave them out, and as callbacks to the host they would keep
+    programs out of the persistent compilation cache. A ``SaveAt`` of the user's keeps
+    them.
+    """
+    module: Any = getattr(dfx, "_integrate", None)
+    if plan.saveat is not None or not hasattr(module, "eqxi"):
+        yield
+        return
+    with _TRACING:
+        checked = module.eqxi
+        module.eqxi = _WithoutCallbacks(checked)
+        try:
+            yield
+        finally:
+            module.eqxi = checked
+
+
+def _first_step(plan: Plan, like, inputs) -> Array:
+    """Length of the first step [s]."""
+    _, y0, times, _, _, dt0, *_ = inputs
+    if dt0 is not None:
+        return dt0
+    span = times[-1] - times[0]
+    dt0 = first_step(plan.problem.quickness(unpack(y0, like)), span)
+    return jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
+
+
+def _natively(plan: Plan, rates, like, inputs, recording: bool):
+    model, y0, times, rtol, atol, *_ = inputs
+    leaves, tree = jax.tree.flatten(model)
+    loop = RunLoop(
+        lambda t, y, *leaves: rates(t, y, jax.tree.unflatten(tree, leaves)),
+        y0,
+        leaves,
+        weights_of(plan.solver, "the loop in C"),
+        plan.zeros,
+        STEPS_BETWEEN if recording else 0,
+        unbroken_numbers(plan.problem.unbroken, model, like),
+    )
+    sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    where = landings_of(model, times, plan)
+    course = Course(
+        time=times[0],
+        sense=sense,
+        rtol=rtol,
+        atol=atol,
+        dtmin=_least_step(times),
+        first_step=_first_step(plan, like, inputs),
+        ends=sense * where.ends,
+        begins=sense * where.starts,
+        outputs=sense * times[1:],
+    )
+    most = plan.max_steps
+    if most is None:
+        most = _RECORDED_STEPS if recording else UNRECORDED_STEPS
+    ended = loop(y0, course, most)
+    # a start from which no step can be taken is none: as by diffrax
+    stuck = (ended.steps == 0) & (ended.rejected_steps > 0)
+    begun = jnp.where(stuck, jnp.nan, y0)
+    outcome = Solution(
+        time=times,
+        y=jnp.concatenate([begun[None], ended.y]),
+        final_time=ended.final_time,
+        final_y=ended.final_y,
+        code=ended.code,
+        steps=ended.steps,
+        rejected_steps=ended.rejected_steps,
+    )
+    if ended.record is None:
+        return outcome, None
+    begun, kept = ended.record
+    return outcome, (begun, outcome.steps, kept)
+
+
+def unbroken_numbers(unbroken: Callable, model: Any, like: Any) -> Callable | None:
+    """What no step may reverse, as numbers of packed states.
+
+    Args:
+        unbroken: As in :class:`Problem`.
+        model: Or its shapes.
+        like: Shapes of a state.
+
+    Returns:
+        ``numbers(t, y, *leaves)``: the vectors one behind the other; None: none.
+    """
+    vectors, tree = unbroken(model, like), jax.tree.structure(model)
+    if vectors is None:
+        return None
+
+    def numbers(t, y, *leaves):
+        found = vectors(jax.tree.unflatten(tree, leaves), t, unpack(y, like))
+        return jnp.concatenate(found)
+
+    return numbers
+
+
+def plain(plan: Plan, times: Array) -> bool:
+    """Whether a run is nothing but its steps, and outputs at their ends."""
+    ends = plan.controller is None or times.shape[0] == 2
+    return is_plain(plan.solver) and plan.saveat is None and ends
+
+
+def _landing(
+    model: Any, times, rtol, atol, plan: Plan
+) -> dfx.AbstractStepSizeController:
+    """Adaptive steps that end on outputs and on corners of the right-hand side."""
+    dtmin = _least_step(times)
+    controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
+    where = landings_of(model, times, plan)
+    if where.ends.shape[0] == 1:
+        return controller
+    # its tolerances are the controller's, which diffrax declares as fields
+    return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
+
+
+def _least_step(times: Array) -> Array:
+    """What the times' rounding still tells apart [s]."""
+    resolution = 10 * jnp.finfo(times.dtype).eps
+    return resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
+
+
+def landings_of(model: Any, times: Array, plan: Plan) -> Landings:
+    """Where steps have to end: on outputs, and on corners of the model's motion."""
+    outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
+    return landings(outputs, *plan.problem.corners(model))
+
+
+def _code(result, stuck) -> Array:
+    code = jnp.asarray(Code.STOPPED)
+    for known, meaning in (
+        (dfx.RESULTS.successful, Code.COMPLETED),
+        (dfx.RESULTS.max_steps_reached, Code.MAX_STEPS),
+        (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),
+    ):
+        code = jnp.where(result == known, meaning, code)
+    too_small = stuck & (code == Code.STEP_TOO_SMALL)
+    return jnp.where(too_small, Code.BAD_START, code)

@@ -1,0 +1,360 @@
+"""Step controllers: landing on outputs, refusing steps, replaying recorded ones."""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry.small_linear import norm
+from ..validation.checks import is_traced
+
+_MANY = 2**16  # bytes of times that are not remembered
+
+
+class Landings(NamedTuple):
+    """Where steps have to end, in order, and where the next ones begin.
+
+    They differ only round a jump of the right-hand side: the last number before it, and
+    the first behind it. A stage evaluated on the jump itself would have either value.
+
+    Attributes:
+        ends: [s], shape (n,); infinite behind the last.
+        starts: [s], shape (n,).
+        jumps: Times of the jumps [s], or None.
+    """
+
+    ends: Float[Array, " n"]
+    starts: Float[Array, " n"]
+    jumps: Float[Array, " k"] | None
+
+
+class Stops(NamedTuple):
+    """Output times as a run stops on them.
+
+    Attributes:
+        time: Times [s], shape (T,): those closer together than the clock's steps are
+            one, the last of them; those that close to the first are the first.
+        last: Which output is shown at each of them, shape (T,); None: its own.
+    """
+
+    time: Any
+    last: Any
+
+
+def stops_of(times: Any, least: float = 0.0) -> Stops:
+    """Outputs as stops of a run.
+
+    Args:
+        times: Output times [s], increasing or decreasing, shape (T,).
+        least: What a loop tells apart at least [s], where that is coarser than the
+            clock.
+    """
+    if is_traced(times):
+        return _stops(times, least)
+    return of_times(_stops, times, least)
+
+
+def of_times(function: Callable, times: np.ndarray, *further: Any) -> Any:
+    """``function(times, ...)``; of times that were there before, without a new look."""
+    if times.nbytes > _MANY:
+        return function(times, *further)
+    return _of_known(function, times.tobytes(), times.dtype, further)
+
+
+@functools.lru_cache(256)
+def _of_known(function: Callable, times: bytes, dtype: np.dtype, further: tuple) -> Any:
+    return function(np.frombuffer(times, dtype), *further)
+
+
+def _stops(times: Any, least: float) -> Stops:
+    traced = is_traced(times)
+    library = jnp if traced else np
+    near = library.maximum(clock_step(times, library), times.dtype.type(least))
+    close = library.abs(library.diff(times)) <= near
+    if not traced and not close.any():
+        return Stops(times, None)
+    count = times.shape[0]
+    index = library.arange(count)
+    own = library.where(library.append(close, False), count, index)
+    if traced:
+        last = jax.lax.cummin(jnp.asarray(own), reverse=True)
+    else:
+        last = np.minimum.accumulate(own[::-1])[::-1]
+    last = library.where(last == last[0], 0, last)  # no step leads from the start there
+    return Stops(times[last], last)
+
+
+def clock_step(times: Any, library: Any = jnp) -> Any:
+    """Below this, times are not told apart by steps [s]: a hundred roundings."""
+    return 100 * np.finfo(times.dtype).eps * library.max(library.abs(times))
+
+
+class LandOn(dfx.AbstractAdaptiveStepSizeController):
+    """Adaptive steps that end exactly on every output time.
+
+    An output is then as accurate as the steps (diffrax's interpolants are of order 4
+    and 5, below what an 8th-order method is used for). A step that would end just
+    short of an output time is halved with the next one, and the step before a landing
+    is remembered, so that a landing costs about one step.
+
+    Attributes:
+        controller: Chooses the steps.
+        landings: Where steps have to end.
+    """
+
+    controller: dfx.PIDController
+    landings: Landings
+
+    @property
+    def rtol(self):
+        """Of the controller; implicit methods solve to it."""
+        return self.controller.rtol
+
+    @property
+    def atol(self):
+        """Of the controller."""
+        return self.controller.atol
+
+    @property
+    def norm(self):
+        """Of the controller."""
+        return self.controller.norm
+
+    def wrap(self, direction):
+        """The controller for the direction of time in which diffrax works."""
+        landings = jax.tree.map(lambda t: t * direction, self.landings)
+        parts = self.controller.wrap(direction), landings
+        return eqx.tree_at(lambda c: (c.controller, c.landings), self, parts)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """First step, and the state: controller, next output, step wanted before."""
+        t_next, inner = self.controller.init(
+            terms, t0, t1, y0, dt0, args, func, error_order
+        )
+        wanted = t_next - t0
+        index = self._next(t0)
+        first = self._towards(self.landings.ends[index], t0, wanted)
+        return first, (inner, index, wanted)
+
+    def _next(self, t):
+        """The first end behind a time."""
+        ends = self.landings.ends
+        behind = jnp.searchsorted(ends, t, side="right")
+        return jnp.minimum(behind, ends.shape[0] - 1).astype(int)
+
+    def _towards(self, goal, t, dt):
+        left = goal - t
+        halved = jnp.where(dt > 0.5 * left, t + 0.5 * left, t + dt)
+        return jnp.where(dt >= 0.999 * left, goal, halved)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """Next step: the controller's, or the one wanted before the landing."""
+        inner, index, wanted = controller_state
+        keep, next_t0, next_t1, jump, inner, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
+        )
+        proposed = next_t1 - next_t0
+        shortened = (t1 - t0) < 0.999 * wanted
+        dt = jnp.where(keep & shortened, jnp.maximum(proposed, wanted), proposed)
+        ends, starts, jumps = self.landings
+        landed = keep & (t1 >= ends[index])
+        if jumps is not None:
+            next_t0 = jnp.where(landed, starts[index], next_t0)
+            jump = jump | (landed & (starts[index] > ends[index]))
+        index = jnp.where(landed, self._next(t1), index)
+        t_end = self._towards(ends[index], next_t0, dt)
+        return keep, next_t0, t_end, jump, (inner, index, dt), result
+
+
+def landings(
+    times: Float[Array, " T"], kinks: Float[Array, " k"] | None, jump: bool = False
+) -> Landings:
+    """Output times after the first, with the kinks between them, in order.
+
+    Args:
+        times: Of :class:`Stops` [s], increasing or decreasing.
+        kinks: Times at which the right-hand side has a corner [s]; None: none.
+        jump: Whether it may jump there.
+
+    Returns:
+        Where :class:`LandOn` ends its steps.
+    """
+    if kinks is None:
+        return Landings(times[1:], times[1:], None)
+    sign = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    outputs = times * sign
+    kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
+    # closer together than this, two landings would ask for a step without length
+    near = clock_step(times)
+    between = (kinks > outputs[0]) & (kinks < outputs[-1])
+    added = jnp.where(between & (_distance(kinks, outputs) > near), kinks, jnp.inf)
+    ends = jnp.sort(jnp.concatenate([outputs[1:], added]))
+    repeated = jnp.diff(ends) <= near
+    ends = jnp.sort(ends.at[1:].set(jnp.where(repeated, jnp.inf, ends[1:])))
+    if not jump:
+        return Landings(ends * sign, ends * sign, None)
+    # the run itself ends on its last time, whatever is there
+    jumps = (_distance(ends, kinks) <= near) & (ends < outputs[-1])
+    before = jnp.where(jumps, jnp.nextafter(ends, -jnp.inf), ends)
+    behind = jnp.where(jumps, jnp.nextafter(ends, jnp.inf), ends)
+    at = jnp.where(jumps, ends, jnp.inf)
+    return Landings(before * sign, behind * sign, at * sign)
+
+
+def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, " n"]:
+    """Of each number from the nearest of a grid in order."""
+    after = jnp.clip(jnp.searchsorted(grid, x), 1, max(grid.shape[0] - 1, 1))
+    nearest = jnp.minimum(jnp.abs(grid[after] - x), jnp.abs(grid[after - 1] - x))
+    return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
+
+
+class _Refusing(eqx.Module):
+    """A controller of which some steps are refused: tried again, shorter.
+
+    Where even the shortest is refused, or the controller cannot shorten it, the run
+    ends.
+
+    Attributes:
+        controller: Any.
+        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand; the model
+            is what diffrax calls args.
+        sense: Direction of time in which diffrax works.
+    """
+
+    controller: dfx.AbstractStepSizeController
+    holds: Callable = eqx.field(static=True)
+    sense: Any = 1.0
+
+    def wrap(self, direction):
+        """The controller for the direction of time in which diffrax works."""
+        parts = self.controller.wrap(direction), direction
+        return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """As the controller."""
+        return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """As the controller, to which a refused step has a large error."""
+        holds = self.holds(args, t0 * self.sense, y0, t1 * self.sense, y1_candidate)
+        if y_error is not None:
+            y_error = jnp.where(holds, y_error, jnp.asarray(jnp.inf, y_error.dtype))
+        keep, next_t0, *following, result = self.controller.adapt_step_size(
+            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+        )
+        stuck = keep & ~holds
+        # the run ends where its state is, not at the end of what was refused
+        next_t0 = jnp.where(stuck, t0, next_t0)
+        result = dfx.RESULTS.where(stuck, dfx.RESULTS.dt_min_reached, result)
+        return keep & holds, next_t0, *following, result
+
+
+class _RefusingFixed(_Refusing, dfx.AbstractStepSizeController):
+    pass
+
+
+class _RefusingAdaptive(_Refusing, dfx.AbstractAdaptiveStepSizeController):
+    """With the controller's tolerances, to which implicit methods solve."""
+
+    @property
+    def rtol(self):
+        return self.controller.rtol  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def atol(self):
+        return self.controller.atol  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def norm(self):
+        return self.controller.norm  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def refusing(
+    controller: dfx.AbstractStepSizeController, holds: Callable
+) -> dfx.AbstractStepSizeController:
+    """A controller of which some steps are refused.
+
+    Args:
+        controller: Any.
+        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
+    """
+    if isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
+        # its tolerances are the controller's, which diffrax declares as fields
+        return _RefusingAdaptive(controller, holds)  # pyright: ignore[reportCallIssue]
+    return _RefusingFixed(controller, holds)
+
+
+class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):
+    """Steps from recorded times, all accepted; like ``diffrax.StepTo``, but padded.
+
+    Attributes:
+        times: Where recorded steps began [s], padded with infinity.
+        jumps: Times of jumps [s] before which steps end, behind which they begin; None
+            for none.
+        rtol: Relative tolerance to which implicit methods solve [1].
+        atol: Absolute tolerance [unit of the state].
+        norm: Of what is left of their equations.
+    """
+
+    times: Float[Array, " n"]
+    jumps: Float[Array, " k"] | None
+    rtol: Any
+    atol: Any
+    norm: Callable = dfx.PIDController(rtol=1.0, atol=1.0).norm
+
+    def wrap(self, direction):
+        """The record for the direction of time in which diffrax works."""
+        times = lambda c: c.times if c.jumps is None else (c.times, c.jumps)
+        turned = jax.tree.map(lambda t: t * direction, times(self))
+        return eqx.tree_at(times, self, turned)
+
+    def _end(self, index):
+        """Where the step ends whose successor is recorded; whether at a jump."""
+        start = self.times[index]
+        if self.jumps is None:
+            return start, False
+        at = jnp.nextafter(start, -jnp.inf)
+        jumped = jnp.any(at == self.jumps)
+        return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        """First recorded step."""
+        del terms, t0, y0, dt0, args, func, error_order
+        return jnp.minimum(self._end(1)[0], t1), 1
+
+    def adapt_step_size(
+        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+    ):
+        """Next recorded step; the run ends where its record does."""
+        del t0, y0, y1_candidate, args, y_error, error_order
+        _, jumped = self._end(controller_state)
+        start = t1 if self.jumps is None else self.times[controller_state]
+        following, _ = self._end(controller_state + 1)
+        recorded = jnp.isfinite(following)
+        result = dfx.RESULTS.where(
+            recorded, dfx.RESULTS.successful, dfx.RESULTS.max_steps_reached
+        )
+        following = jnp.where(recorded, following, t1)
+        return True, start, following, jumped, controller_state + 1, result
+
+
+def first_step(
+    angular_velocity: Float[Array, "3"], span: Float[Array, ""]
+) -> Float[Array, ""]:
+    """A cautious first step [s]: a hundredth of a radian, or of the span at rest.
+
+    The controller corrects it within a few steps; diffrax's own choice would evaluate,
+    and so compile, the right-hand side twice more.
+    """
+    span = jnp.abs(span)
+    return 0.01 * span / (1.0 + span * norm(angular_velocity))

@@ -1,0 +1,1 @@
+"""Motion of the base, contact kinematics, and the coordinates of a state."""

@@ -1,0 +1,1 @@
+"""Plots, meshes, the viewer, and the summary of a run."""

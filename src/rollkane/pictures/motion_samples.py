@@ -1,0 +1,272 @@
+"""One motion as plain numbers: what pictures of it are drawn from.
+
+Everything is evaluated in one program and handed over as NumPy arrays in double
+precision, so that drawing never meets JAX's rules of shapes and dtypes.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..dynamics.mass_matrix import shares
+from ..dynamics.observables import energy, kept_energy, moving_energy
+from ..dynamics.rolling import contact_force, contact_of
+from ..dynamics.scene import Scene
+from ..dynamics.supported import AbstractSupported, Prescribed, SupportedBody
+from ..geometry.rotations import in_one_sense, quaternion_of
+from ..geometry.small_linear import cross, matvec, norm
+from ..kinematics.base_motion import BaseKinematics
+from ..simulation.trajectory import Trajectory
+from ..validation.checks import FieldError
+
+_SIZES = {
+    "position": 3,
+    "orientation": 4,
+    "angular_velocity": 3,
+    "velocity": 3,
+    "contact_on_base": 3,
+    "contact_on_body": 3,
+    "outward": 3,
+    "base_outward": 3,
+    "body_outward": 3,
+    "contact_force": 3,
+    "energy": 1,
+    "moving_energy": 1,
+    "base_origin": 3,
+    "base_orientation": 4,
+    "base_velocity": 3,
+    "base_angular_velocity": 3,
+}
+
+
+class History(NamedTuple):
+    """A motion at T times; rows that the run did not reach are NaN.
+
+    Attributes:
+        time: [s], shape (T,).
+        position: Body origin [m], fixed axes, shape (T, 3).
+        orientation: Unit quaternion, scalar first, body to fixed [1], shape (T, 4).
+        angular_velocity: [rad/s], fixed axes, shape (T, 3).
+        velocity: Of the body origin [m/s], fixed axes, shape (T, 3).
+        contact_on_base: [m], base axes, shape (T, 3).
+        contact_on_body: [m], body axes, shape (T, 3).
+        outward: Unit normal out of the base at the contact [1], fixed axes, (T, 3).
+        base_outward: The same on base axes [1], shape (T, 3).
+        body_outward: Unit normal out of the body there [1], body axes, shape (T, 3).
+        contact_force: On the body [N], fixed axes, shape (T, 3).
+        energy: Kinetic plus potential energy [J], shape (T,).
+        moving_energy: ``E - v_Oc . P - w_c . J`` [J], shape (T,).
+        base_origin: Of the base's axes [m], fixed axes, shape (T, 3).
+        base_orientation: Unit quaternion, base to fixed axes [1], shape (T, 4).
+        base_velocity: Of the base's origin [m/s], fixed axes, shape (T, 3).
+        base_angular_velocity: [rad/s], fixed axes, shape (T, 3).
+        alpha: Coordinates of what is carried, shape (T, n).
+        carried: Where carried masses are [m], body axes, shape (T, k, 3); a rigid body
+            is six masses on its own axes, with its moments of inertia.
+        masses: Of each of them [kg], shape (k,).
+        base_moves: Whether the base moves.
+        kept: What the motion has to keep: "energy", "moving energy", or "" where the
+            base or forces inside do work.
+        rounding: Spacing of the run's own numbers at 1 [1].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    orientation: np.ndarray
+    angular_velocity: np.ndarray
+    velocity: np.ndarray
+    contact_on_base: np.ndarray
+    contact_on_body: np.ndarray
+    outward: np.ndarray
+    base_outward: np.ndarray
+    body_outward: np.ndarray
+    contact_force: np.ndarray
+    energy: np.ndarray
+    moving_energy: np.ndarray
+    base_origin: np.ndarray
+    base_orientation: np.ndarray
+    base_velocity: np.ndarray
+    base_angular_velocity: np.ndarray
+    alpha: np.ndarray
+    carried: np.ndarray
+    masses: np.ndarray
+    base_moves: bool
+    kept: str
+    rounding: float
+
+    @property
+    def reached(self) -> np.ndarray:
+        """Which rows hold a state, shape (T,)."""
+        motion = np.concatenate([self.position, self.orientation], axis=1)
+        return np.isfinite(motion).all(axis=1) & np.isfinite(self.time)
+
+    @property
+    def spin(self) -> np.ndarray:
+        """Angular velocity along the base's outward normal [rad/s], shape (T,)."""
+        return np.sum(self.angular_velocity * self.outward, axis=1)
+
+    @property
+    def contact(self) -> np.ndarray:
+        """Contact point [m], FIXED axes, shape (T, 3)."""
+        scalar, vector = self.base_orientation[:, :1], self.base_orientation[:, 1:]
+        point = self.contact_on_base
+        turned = point + 2.0 * np.cross(
+            vector, np.cross(vector, point) + scalar * point
+        )
+        return self.base_origin + turned
+
+    @property
+    def normal_force(self) -> np.ndarray:
+        """Contact force along the base's outward normal [N], shape (T,)."""
+        return np.sum(self.contact_force * self.outward, axis=1)
+
+    @property
+    def energy_error(self) -> np.ndarray:
+        """``|E - E0| / |E0|`` [1], shape (T,); of the largest |E| where E0 is 0.
+
+        E is what the motion has to keep; where it keeps neither energy, NaN.
+        """
+        value = self.moving_energy if self.kept == "moving energy" else self.energy
+        known = value[np.isfinite(value)]
+        if not known.size or not self.kept:
+            return np.full_like(value, np.nan)
+        scale = abs(known[0]) or np.max(np.abs(known)) or 1.0
+        return np.abs(value - known[0]) / scale
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """What has a row for each time, by name."""
+        whole = ("masses", "base_moves", "kept", "rounding")
+        return {k: v for k, v in self._asdict().items() if k not in whole}
+
+    def rows(self, which: np.ndarray) -> "History":
+        """The same motion at some of its times only.
+
+        Args:
+            which: Row numbers, or one truth value per row.
+        """
+        return self._replace(**{k: v[which] for k, v in self.columns.items()})
+
+
+def history(trajectory: Trajectory) -> History:
+    """Evaluate a single trajectory for drawing.
+
+    Args:
+        trajectory: One run, not a batch.
+
+    Raises:
+        FieldError: a batch.
+    """
+    if trajectory.time.ndim != 1 or trajectory.state.angular_velocity.ndim != 2:
+        raise FieldError(
+            "trajectory",
+            trajectory.state.angular_velocity.shape[:-2],
+            "is a batch, and one picture shows one run",
+            "draw one lane: jax.tree.map(lambda x: x[i], trajectory)",
+        )
+    rows = np.asarray(trajectory.each(_row), dtype=float)
+    *pieces, carried = np.split(rows, np.cumsum(list(_SIZES.values())), axis=1)
+    columns = dict(zip(_SIZES, pieces, strict=True))
+    for name in ("energy", "moving_energy"):
+        columns[name] = columns[name][:, 0]
+    # of a state without a quaternion, and of a base, the sign is open
+    columns["orientation"] = np.asarray(trajectory.orientation, dtype=float)
+    turned = jnp.asarray(columns["base_orientation"])
+    columns["base_orientation"] = np.asarray(in_one_sense(turned))
+    scene = trajectory.scene
+    return History(
+        time=np.asarray(trajectory.time, dtype=float),
+        **columns,
+        alpha=np.asarray(trajectory.alpha, dtype=float),
+        carried=carried.reshape(len(rows), -1, 3),
+        masses=_masses(scene),
+        base_moves=scene.base.motion is not None,
+        kept=kept_energy(scene),
+        rounding=float(jnp.finfo(trajectory.time.dtype).eps),
+    )
+
+
+def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
+    """All quantities of one state in the order of ``_SIZES``, then what is carried."""
+    contact = contact_of(scene, t, state)
+    rotation = contact.rotation
+    spin = matvec(rotation, contact.angular_velocity)
+    arm = matvec(rotation, contact.body_point)
+    quaternion = contact.orientation
+    if quaternion is None:
+        quaternion = quaternion_of(rotation)
+    velocity = cross(arm, spin)  # of the body origin, from the contact point
+    if contact.point_velocity is not None:
+        velocity = velocity + matvec(rotation, contact.point_velocity)
+    return jnp.concatenate(
+        [
+            contact.position,
+            quaternion / norm(quaternion),
+            spin,
+            velocity,
+            contact.base_point,
+            contact.body_point,
+            -matvec(rotation, contact.normal),
+            -matvec(contact.to_base, contact.normal),
+            contact.normal,
+            contact_force(scene, t, state),
+            energy(scene, t, state)[None],
+            moving_energy(scene, t, state)[None],
+            *_base_row(contact.base, arm),
+            *_carried_rows(scene, t, state),
+        ]
+    )
+
+
+def _base_row(base: BaseKinematics | None, like: Array) -> list[Array]:
+    """Pose and velocities of the base, fixed axes."""
+    still = jnp.zeros_like(like)
+    straight = jnp.concatenate([jnp.ones_like(still[:1]), still])
+    if base is None:
+        return [still, straight, still, still]
+    turn, glide = base.angular_velocity, base.velocity
+    return [
+        base.placed(still),
+        straight if base.rotation is None else quaternion_of(base.rotation),
+        still if glide is None else glide,
+        still if turn is None else base.to_fixed(turn),
+    ]
+
+
+def _carried_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
+    """Places of carried masses on body axes, one after the other."""
+    rows = []
+    for supported, alpha, rates in shares(
+        scene.supported, state.alpha, state.alpha_dot
+    ):
+        part = supported.carried(t, alpha, rates)
+        places = part.place.T
+        if part.turning is not None:
+            arms = _spread(_own(supported))[:, None] * part.turning.rotation.T
+            places = jnp.concatenate([places + arms, places - arms])
+        rows.append(places.reshape(-1))
+    return rows
+
+
+def _own(supported: AbstractSupported) -> Any:
+    """What is carried, whether its motion is prescribed or not."""
+    return supported.supported if isinstance(supported, Prescribed) else supported
+
+
+def _spread(part: SupportedBody) -> Float[Array, "3"]:
+    """Distances of six equal masses on its axes that have a body's moments [m]."""
+    moments = jnp.stack([part.inertia[i, i] for i in range(3)])
+    across = jnp.sum(moments) - 2.0 * moments
+    return jnp.sqrt(jnp.maximum(1.5 * across / part.mass, 0.0))
+
+
+def _masses(scene: Scene) -> np.ndarray:
+    """Mass of every point of ``_carried_rows`` [kg]."""
+    masses = []
+    for supported in scene.supported:
+        own = _own(supported)
+        mass = np.asarray(own.mass, dtype=float)
+        masses.append(np.full(6, mass / 6) if isinstance(own, SupportedBody) else mass)
+    return np.concatenate([np.zeros(0), *masses])

@@ -1,0 +1,213 @@
+"""A run in a few lines: what it did, how exact it is, and what it needed."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..dynamics.rolling import contact_of, rolling_derivative
+from ..dynamics.scene import Scene
+from ..geometry.small_linear import dot
+from ..hybrid.modes import Mode, Switches
+from ..simulation.trajectory import Trajectory
+from .motion_samples import History, history
+
+_MOST_LISTED = 12
+_ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
+_NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
+_NO_FRICTION = 1e-12  # rounding of forces
+_DOES = {Mode.ROLLING: "rolls", Mode.SLIPPING: "slips", Mode.FLYING: "flies"}
+_SHOWN = 8  # changes of the contact
+_CLOSE = 1e-9  # of the spacing of the samples
+
+
+def summary(trajectory: Trajectory) -> list[str]:
+    """Describe a single run.
+
+    Args:
+        trajectory: One run, not a batch.
+
+    Returns:
+        Lines: spin about the base's normal and about the body's axis next to it
+        [rad/s] before and after, when they changed sign [s], relative drift of the
+        energy that has to be kept [1] or how it changed [J], when the contact changed
+        [s] in a run with ``modes``, steps, the normal force
+        [N] (or when the contact would first have had to pull), and the friction
+        coefficient that rolling needed [1].
+
+    Raises:
+        FieldError: a batch.
+    """
+    motion = history(trajectory)
+    rows = np.nonzero(motion.reached)[0]
+    lines = []
+    if rows.size:
+        motion = motion.rows(rows)
+        lines += _spin_lines(trajectory, motion, rows)
+        lines.append(_energy_line(motion))
+    steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
+    lines += _switch_lines(trajectory.switches)
+    loop = "in C" if trajectory.method == "native" else "by diffrax"
+    if trajectory.switches is not None:
+        loop = "with modes"
+    lines.append(_line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
+    if rows.size:
+        lines += _force_lines(trajectory, motion)
+    return lines
+
+
+def _switch_lines(switches: Switches | None) -> list[str]:
+    """The first changes of the contact, and how many more there were."""
+    if switches is None:
+        return []
+    count = int(switches.count)
+    if not count:
+        return [_line("contact", "never changed")]
+    times, before, after = map(
+        np.asarray, (switches.time, switches.before, switches.after)
+    )
+    lines = [
+        _line(
+            "contact" if i == 0 else "",
+            f"{_DOES[before[i]]} -> {_DOES[after[i]]} at t = {times[i]:.6g} s",
+        )
+        for i in range(min(count, _SHOWN))
+    ]
+    more = count - len(lines)
+    return [*lines, _line("", f"and {more} more changes")] if more else lines
+
+
+def sign_changes(
+    time: Float[np.ndarray, " T"],
+    value: Float[np.ndarray, " T"],
+    rate: Float[np.ndarray, " T"],
+) -> Float[np.ndarray, " n"]:
+    """Times at which a sampled function changes its sign.
+
+    Between two samples the function is the cubic that has both values and both rates;
+    all its roots count, so that a double change between two samples is found too.
+
+    Args:
+        time: Strictly monotonic [s].
+        value: Samples.
+        rate: Their rates [unit of the samples / s].
+
+    Returns:
+        Times in the order of the samples [s], without the first and the last.
+    """
+    found: list[float] = []
+    for k, step in enumerate(np.diff(time)):
+        a, b = value[k], value[k + 1]
+        c, d = step * rate[k], step * rate[k + 1]
+        # the cubic lies between its Bezier points; most intervals end here
+        bounds = np.array([a, a + c / 3, b - d / 3, b])
+        if np.all(bounds > 0) or np.all(bounds < 0):
+            continue
+        cubic = np.array([2 * (a - b) + c + d, 3 * (b - a) - 2 * c - d, c, a])
+        roots = np.roots(cubic)
+        real = np.sort(roots[np.abs(roots.imag) < _CLOSE].real)
+        inner = real[(real > -_CLOSE) & (real < 1 + _CLOSE)]
+        for root in inner[np.polyval(np.polyder(cubic), inner) != 0]:
+            when = time[k] + root * step
+            # a sample that is zero is a root of both its intervals
+            if not found or abs(when - found[-1]) > 2 * _CLOSE * abs(step):
+                found.append(when)
+    near_end = _CLOSE * abs(np.diff(time)[[0, -1]])
+    changes = np.array(found)
+    inside = np.abs(changes - time[0]) > near_end[0]
+    return changes[inside & (np.abs(changes - time[-1]) > near_end[1])]
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<18}{text}"
+
+
+def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
+    """Spin about the normal and about the body axis next to it, with their reversals.
+
+    The two change sign at different times where the body rocks: Kane and Levinson's
+    stone does so in its own omega_3 first.
+    """
+    spins, rates, upwards = (
+        np.asarray(x, dtype=float)[rows] for x in trajectory.each(_spins)
+    )
+    axis = int(np.argmax(np.abs(upwards[0])))
+    lines = []
+    fastest = np.max(np.abs(motion.angular_velocity))
+    for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
+        spin = spins[:, k]
+        lines.append(
+            _line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about {about}")
+        )
+        if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
+            lines.append(_line("  reversals", "none"))
+            continue
+        times = sign_changes(motion.time, spin, rates[:, k])
+        listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
+        if times.size > _MOST_LISTED:
+            listed += f" and {times.size - _MOST_LISTED} more"
+        if times.size:
+            listed += " (interpolated between outputs)"
+        lines.append(_line("  reversals", listed if times.size else "none"))
+    return lines
+
+
+def _energy_line(motion: History) -> str:
+    """Drift of the energy that the motion has to keep; else how it changed."""
+    if not motion.kept:
+        change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
+        return _line("energy", f"{change}, by the base and forces that do work")
+    drift = f"{np.nanmax(motion.energy_error):.1e}"
+    if motion.kept == "energy":
+        return _line("energy drift", drift)
+    return _line("energy drift", f"{drift} of the moving energy E - w_c . J")
+
+
+def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
+    press, time = motion.normal_force, motion.time
+    mass = float(trajectory.scene.body.mass)
+    if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:
+        return [_line("normal force", "none")]
+    least = int(np.argmin(press))
+    lines = [
+        _line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
+    ]
+    pull = float(trajectory.first_pull)
+    if not np.isnan(pull):
+        lines.append(
+            f"  the contact would have to pull first at t = {pull:.4f} s; the run "
+            "assumes that it can"
+        )
+    pressed = press > 0
+    if np.any(pressed):
+        tangential = motion.contact_force - press[:, None] * motion.outward
+        ratio = np.linalg.norm(tangential, axis=1) / np.where(pressed, press, np.inf)
+        most = int(np.argmax(ratio))
+        text = f"{ratio[most]:.4g} at most, t = {time[most]:.4g} s"
+        if ratio[most] < _NO_FRICTION:
+            text = "none"
+        if not np.all(pressed):
+            text += " (while pressed together)"
+        lines.append(_line("friction needed", text))
+    return lines
+
+
+def _spins(scene: Scene, t: Array, state: Any) -> tuple[Array, Array, Array]:
+    """Spins about the body's axes and the normal, their rates, and the upward normal.
+
+    Returns:
+        Spins [rad/s] and rates [rad/s^2], shape (4,) each: x, y, z of the body, then
+        the base's normal; the base's normal on body axes [1], shape (3,).
+    """
+
+    def spins(t, state):
+        contact = contact_of(scene, t, state)
+        upward, w = -contact.normal, contact.angular_velocity
+        return jnp.concatenate([w, dot(upward, w)[None]]), upward
+
+    moving = rolling_derivative(scene, t, state)
+    along = (jnp.ones_like(t), moving)
+    (values, upward), (rates, _) = jax.jvp(spins, (t, state), along)
+    return values, rates, upward

@@ -1,0 +1,206 @@
+"""A motion as one HTML page that plays in any browser, from disk, without a network.
+
+The page carries everything it needs: the drawing library, the meshes, the motion. Its
+own programs lie beside this module in ``viewer_assets``.
+"""
+
+import base64
+import html
+import json
+import os
+import re
+from importlib import resources
+
+import numpy as np
+
+from ..files.atomic_file import write_whole
+from ..geometry.surfaces import Plane
+from ..simulation.trajectory import Trajectory
+from ..validation.checks import FieldError
+from .mesh import Mesh, body_size, plate_mesh, surface_mesh
+from .motion_samples import History, history
+
+# More frames would only make the page larger: it moves smoothly between them.
+MOST_FRAMES = 2000
+_SCRIPTS = ("three.bundle.js", "motion.js", "stage.js", "viewer.js")
+
+
+def write_view(
+    trajectory: Trajectory, path: str | os.PathLike, title: str = ""
+) -> None:
+    """Write a trajectory as a self-contained page with a moving three-dimensional view.
+
+    The page shows the body and its base as they move, the masses that it carries, the
+    contact point with its traces on both, and (by a switch) the contact force; it has
+    a slider, a clock and a camera that can follow. ``#frame=N`` behind its name shows
+    frame N at rest. It opens from disk and in sandboxed frames, and fetches nothing.
+
+    Args:
+        trajectory: One run, not a batch. Of more than 2000 outputs, 2000 are kept.
+        path: Where to; the folder must exist. The file appears whole or not at all.
+        title: Heading of the page; plain text.
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+        OSError: the file cannot be written.
+    """
+    write_whole(path, view_page(trajectory, title).encode())
+
+
+def view_page(trajectory: Trajectory, title: str = "") -> str:
+    """The text of the page that :func:`write_view` writes.
+
+    Args:
+        trajectory: One run, not a batch.
+        title: Heading of the page; plain text.
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+    """
+    data = json.dumps(view_data(trajectory, title), allow_nan=False)
+    parts = {
+        "title": html.escape(title or "rollkane"),
+        "style": _asset("viewer.css"),
+        "license": _asset("LICENSE.three").replace("--", "- -"),
+        # a browser ends a script at the first "</script", wherever it stands
+        "data": data.replace("<", "\\u003c").replace("&", "\\u0026"),
+        "scripts": "\n".join(f"<script>\n{_asset(s)}\n</script>" for s in _SCRIPTS),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda m: parts[m[1]], _asset("template.html"))
+
+
+def view_data(trajectory: Trajectory, title: str = "") -> dict:
+    """What the page's programs are given, ready for JSON.
+
+    Args:
+        trajectory: One run, not a batch.
+        title: Heading of the page.
+
+    Returns:
+        ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
+        its origin [m]), ``force`` (a usual contact force [N]), ``carried`` (masses of
+        the carried points [kg]), ``energy_label`` (what the energy column is, and its
+        unit), ``frames`` (columns of :class:`History`; ``energy`` is the relative error
+        where an energy is kept; those of the base only where it moves), ``body`` and
+        ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
+        chart has no point). Arrays are written as ``type``, ``unit``, ``shape`` and
+        ``data`` (base64, little endian, in that unit); ``points`` of a mesh are shares
+        of the box from ``low`` to ``high`` [m].
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+    """
+    motion = history(trajectory)
+    reached = np.flatnonzero(motion.reached)
+    if not reached.size:
+        raise FieldError(
+            "trajectory",
+            trajectory.reason,
+            "holds no state that could be shown",
+            "repair the start",
+        )
+    motion = motion.rows(reached)
+    scene = trajectory.scene
+    size = body_size(scene.body, motion.contact_on_body)
+    body = _body_mesh(trajectory, motion, size)
+    if body.points.size:
+        size = float(np.max(np.linalg.norm(body.points, axis=1)))
+    forces = np.linalg.norm(motion.contact_force, axis=1)
+    note = ""
+    if not bool(trajectory.succeeded):
+        reason = trajectory.reason.split(":")[0]
+        note = f"stopped at {float(trajectory.final_time):.6g} s: {reason}"
+    return {
+        "title": title,
+        "note": note,
+        "size": size,
+        "force": float(np.nanmedian(forces)) if np.isfinite(forces).any() else 1.0,
+        "carried": motion.masses.tolist(),
+        "energy_label": [f"{motion.kept} error", ""]
+        if motion.kept
+        else ["energy", "J"],
+        "frames": _frames(motion),
+        "body": _mesh_data(body),
+        "base": _base_data(trajectory, motion, size),
+    }
+
+
+def _frames(motion: History) -> dict:
+    """Columns of at most ``MOST_FRAMES`` rows."""
+    count = len(motion.time)
+    kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
+    thin = motion.rows(kept)
+    columns = thin.columns
+    columns["energy"] = motion.energy_error[kept] if motion.kept else thin.energy
+    left_out = {"moving_energy", "alpha"}
+    if not motion.masses.size:
+        left_out |= {"carried"}
+    if not motion.base_moves:
+        left_out |= {name for name in columns if name.startswith("base_")}
+    packed = {
+        name: _packed(column, "float32")
+        for name, column in columns.items()
+        if name not in left_out
+    }
+    packed["time"] = _packed(thin.time, "float64")
+    for name in ("outward", "base_outward", "body_outward"):
+        if name in packed:  # they only lift the traces off the surfaces
+            packed[name] = _packed(columns[name], "int16", 1 / 32767)
+    return packed
+
+
+def _body_mesh(trajectory: Trajectory, motion: History, size: float) -> Mesh:
+    surface = trajectory.scene.body.surface
+    if isinstance(surface, Plane):
+        return plate_mesh(motion.contact_on_body, size)
+    return surface_mesh(surface, motion.contact_on_body, motion.body_outward, size)
+
+
+def _base_data(trajectory: Trajectory, motion: History, size: float) -> dict | None:
+    """Mesh of the base; of a plane, which the page draws itself, only the word."""
+    surface = trajectory.scene.base.surface
+    if isinstance(surface, Plane):
+        return {"plane": True}
+    extent = np.max(np.ptp(motion.contact_on_base, axis=0), initial=0.0)
+    margin = 1.3 * size + 0.1 * float(extent)
+    mesh = surface_mesh(surface, motion.contact_on_base, motion.base_outward, margin)
+    return _mesh_data(mesh)
+
+
+def _mesh_data(mesh: Mesh) -> dict | None:
+    """A mesh for JSON; None for one without triangles."""
+    if not mesh.triangles.size:
+        return None
+    centre = mesh.points.mean(axis=0)
+    out = np.sum(mesh.normals * (mesh.points - centre))
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    shares = (mesh.points - low) / np.where(high > low, high - low, 1.0)
+    return {
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "points": _packed(shares, "uint16", 1 / 65535),
+        "normals": _packed(mesh.normals, "int8", 1 / 127),
+        "marks": _packed(mesh.marks, "uint16", 1 / 65535),
+        "triangles": _packed(mesh.triangles, "uint16"),
+        "cells": list(mesh.cells),
+        "hollow": bool(out < 0),
+    }
+
+
+def _packed(array: np.ndarray, dtype: str, unit: float = 1.0) -> dict:
+    """An array for JSON; as whole numbers of a unit where dtype is one of integers."""
+    if unit != 1.0:
+        array = np.rint(array / unit)
+    with np.errstate(over="ignore"):  # what single precision cannot hold is infinite
+        narrow = np.ascontiguousarray(array, np.dtype(dtype).newbyteorder("<"))
+    return {
+        "type": dtype,
+        "unit": unit,
+        "shape": list(narrow.shape),
+        "data": base64.b64encode(narrow.tobytes()).decode("ascii"),
+    }
+
+
+def _asset(name: str) -> str:
+    folder = resources.files("rollkane.pictures") / "viewer_assets"
+    return (folder / name).read_text(encoding="utf-8")

@@ -1,0 +1,244 @@
+"""Members of an ensemble: what they share, and what each has of its own."""
+
+import dataclasses
+import functools
+import typing
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..dynamics.scene import Scene
+from ..kinematics.coordinates import State
+from ..validation.checks import FieldError, is_traced, whole
+
+
+class Members(NamedTuple):
+    """Scenes and starts of an ensemble.
+
+    Attributes:
+        count: How many.
+        scene: Scene, of which leaves may have an axis of members in front; or a
+            function of a member's number.
+        starts: State, likewise.
+        scene_axes: For each leaf of one scene: 0 where members differ, else None.
+        start_axes: For each leaf of one state, likewise.
+    """
+
+    count: int
+    scene: Any
+    starts: Any
+    scene_axes: list[int | None]
+    start_axes: list[int | None]
+
+    def example(self) -> tuple[Scene, State]:
+        """The scene and the start of the first member."""
+        first = lambda x, axis: x if axis is None else _at(x, 0)
+        return self.mapped(first, *self.block(0, 1))
+
+    def mapped(
+        self, function: Callable, scene: Scene, starts: State
+    ) -> tuple[Scene, State]:
+        """``function(leaf, axis)`` of every leaf of a block."""
+        return (
+            _mapped(function, scene, self.scene_axes),
+            _mapped(function, starts, self.start_axes),
+        )
+
+    def block(self, first: int, last: int) -> tuple[Scene, State]:
+        """Scenes and starts of some members; leaves that all share as they are."""
+        return (
+            _block(self.scene, self.scene_axes, first, last),
+            _block(self.starts, self.start_axes, first, last),
+        )
+
+    def axes(self) -> tuple[Any, Any]:
+        """For ``jax.vmap``: axes as trees like one scene and one start."""
+        return (
+            jax.tree.unflatten(_structure(self.scene), self.scene_axes),
+            jax.tree.unflatten(_structure(self.starts), self.start_axes),
+        )
+
+
+def members_of(
+    scene: Any, starts: Any, count: int | None, scene_axes: Any = None
+) -> Members:
+    """Find out which leaves have an axis of members.
+
+    Args:
+        scene: Scene, batched or not, or a function of a member's number.
+        starts: State, batched or not, or a function of a member's number.
+        count: How many members; needed where functions alone say it.
+        scene_axes: As ``in_axes`` of ``jax.vmap`` for the scene; None: found out by
+            the shapes that its fields declare.
+
+    Raises:
+        FieldError: members that do not fit together, or none at all.
+    """
+    scene_found = _axes_of("scene", scene, Scene, scene_axes)
+    start_found = _axes_of("starts", starts, State, None)
+    sizes = _sizes(scene, scene_found) | _sizes(starts, start_found)
+    if count is not None:
+        sizes.add(whole("ensemble.count", count, 1, "give one"))
+    if scene_axes is None and not _is_made(scene):
+        _refuse_unclear(scene, scene_found, sizes)
+    remedy = "give every batched number the same first axis, one entry for each member"
+    if len(sizes) > 1:
+        raise FieldError(
+            "ensemble", sorted(sizes), "has members of several counts", remedy
+        )
+    if not sizes:
+        raise FieldError(
+            "ensemble.starts",
+            starts,
+            "has no axis of members",
+            "map rollkane.place over it (jax.vmap), or give count= with a function of "
+            "the member's number; a single motion is rollkane.simulate's",
+        )
+    return Members(sizes.pop(), scene, starts, scene_found, start_found)
+
+
+def _refuse_unclear(scene: Scene, axes: list, sizes: set[int]) -> None:
+    """Parameters of a user's functions may have any shape: one that fits is unclear."""
+    leaves = jax.tree_util.tree_flatten_with_path(scene)[0]
+    for (path, leaf), axis in zip(leaves, axes, strict=True):
+        unknown = axis is None and _declared_rank(scene, path) is None
+        if unknown and jnp.ndim(leaf) and leaf.shape[0] in sizes:
+            raise FieldError(
+                "ensemble.scene" + jax.tree_util.keystr(path),
+                leaf.shape,
+                "may be one value of each member, or one array that all share",
+                "say it by scene_axes=, as in_axes of jax.vmap: 0, None, or a Scene "
+                "of them",
+            )
+
+
+def _mapped(function: Callable, tree: Any, axes: list) -> Any:
+    leaves, shape = jax.tree.flatten(tree)
+    both = zip(leaves, axes, strict=True)
+    return jax.tree.unflatten(shape, [function(x, axis) for x, axis in both])
+
+
+def _block(whole: Any, axes: list, first: int, last: int) -> Any:
+    if _is_made(whole):
+        return _made(whole)(jnp.arange(first, last))
+    some = slice(first, last)
+    return _mapped(lambda x, axis: x if axis is None else _at(x, some), whole, axes)
+
+
+def _at(x: Any, place: Any) -> Any:
+    """A part of an array; NumPy takes it in a hundredth of the time."""
+    if is_traced(x) or jax.default_backend() != "cpu":
+        return x[place]
+    return np.asarray(np.asarray(x)[place])
+
+
+def _is_made(whole: Any) -> bool:
+    return callable(whole) and not isinstance(whole, (Scene, State))
+
+
+def _structure(whole: Any) -> Any:
+    return jax.tree.structure(_one_made(whole) if _is_made(whole) else whole)
+
+
+def _one_made(function: Callable) -> Any:
+    return jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.int_))
+
+
+@functools.lru_cache(maxsize=16)  # every block asks for it
+def _made(function: Callable) -> Callable:
+    return eqx.filter_jit(jax.vmap(function))
+
+
+def _sizes(whole: Any, axes: list) -> set[int]:
+    if _is_made(whole):
+        return set()
+    leaves = zip(jax.tree.leaves(whole), axes, strict=True)
+    return {x.shape[0] for x, axis in leaves if axis is not None}
+
+
+def _axes_of(name: str, whole: Any, kind: type, given: Any) -> list[int | None]:
+    field = f"ensemble.{name}"
+    if _is_made(whole):
+        one = _one_made(whole)
+        _check_kind(field, one, kind)
+        return [0 for _ in jax.tree.leaves(one)]
+    _check_kind(field, whole, kind)
+    if given is not None:
+        return _spread(field, given, whole)
+    found = []
+    for path, leaf in jax.tree_util.tree_flatten_with_path(whole)[0]:
+        rank, shape = _declared_rank(whole, path), jnp.shape(leaf)
+        if rank is None or len(shape) == rank:
+            found.append(None)
+        elif len(shape) == rank + 1:
+            found.append(0)
+        else:
+            raise FieldError(
+                field + jax.tree_util.keystr(path),
+                shape,
+                f"must have {rank} axes, or one more for the members",
+                "look at the field's shape in its documentation",
+            )
+    return found
+
+
+def _check_kind(field: str, value: Any, kind: type) -> None:
+    if not isinstance(value, kind):
+        remedy = (
+            f"give a {kind.__name__}, or a function that makes one of a member's number"
+        )
+        if kind is State:
+            remedy += " (rollkane.to_pole_free makes it of Voronets coordinates)"
+        raise FieldError(field, value, f"is no {kind.__name__}", remedy)
+
+
+def _spread(field: str, given: Any, whole: Any) -> list[int | None]:
+    """Axes for every leaf from a prefix of the tree, as ``jax.vmap`` takes them."""
+    try:
+        tree = jax.tree.map(
+            lambda axis, below: [axis for _ in jax.tree.leaves(below)],
+            given,
+            whole,
+            is_leaf=lambda x: x is None,
+        )
+    except ValueError as error:
+        raise FieldError(
+            f"{field}_axes", given, "does not fit the scene", "give 0 or None"
+        ) from error
+    axes = jax.tree.leaves(tree, is_leaf=lambda x: x is None)
+    if any(axis not in (0, None) for axis in axes):
+        remedy = "put the members first"
+        raise FieldError(f"{field}_axes", given, "must be made of 0 and None", remedy)
+    return axes
+
+
+def _declared_rank(whole: Any, path: tuple) -> int | None:
+    """How many axes a leaf has by the field that holds it; None where none says it."""
+    owner, rank = whole, None
+    for key in path:
+        rank = None
+        if isinstance(key, jax.tree_util.GetAttrKey):
+            rank = _rank_of_field(type(owner), key.name)
+            owner = getattr(owner, key.name)
+        elif isinstance(key, jax.tree_util.SequenceKey):
+            owner = owner[key.idx]
+        elif isinstance(key, jax.tree_util.DictKey):
+            owner = owner[key.key]
+        else:
+            return None
+    return rank
+
+
+def _rank_of_field(owner: type, name: str) -> int | None:
+    if not dataclasses.is_dataclass(owner):
+        return None
+    declared = {f.name: f.type for f in dataclasses.fields(owner)}.get(name)
+    for option in (declared, *typing.get_args(declared)):
+        dims = getattr(option, "dims", None)
+        if isinstance(dims, tuple) and getattr(option, "index_variadic", 0) is None:
+            return len(dims)
+    return None

@@ -1,0 +1,254 @@
+"""Blocks of an ensemble in the compiled loop over lanes."""
+
+import functools
+from typing import Any, NamedTuple
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..codegen import LaneLoop, NoCompilerError, Queue, Results, Stops, zeros_of
+from ..codegen.scalar_program import NotElementwiseError
+from ..codegen.tableau import PLAIN, is_plain, weights_of
+from ..dynamics.consistency import consistent
+from ..dynamics.rolling import rolling_derivative
+from ..dynamics.rolling_problem import (
+    corners,
+    error_sizes,
+    explained,
+    explains_ends,
+    unbroken,
+)
+from ..dynamics.scene import Scene
+from ..integration.integrate import tolerances
+from ..integration.solve import unbroken_numbers
+from ..integration.step_control import first_step, landings, stops_of
+from ..kinematics.coordinates import pack, unpack
+from ..validation.codes import NO_FAULT, first_fault, is_stuck
+from .ensemble_members import Members
+
+
+class NotForLanesError(Exception):
+    """Why the loop over lanes cannot do what is asked.
+
+    Where there is no compiler that works, that is its cause.
+    """
+
+
+class LaneBlocks:
+    """Integrates blocks of members of one kind.
+
+    Attributes:
+        like: Shapes of one state.
+    """
+
+    def __init__(
+        self,
+        members: Members,
+        times: np.ndarray,
+        rtol: float | None,
+        atol: float | None,
+        solver: dfx.AbstractSolver,
+        max_steps: int,
+        extended: bool = False,
+    ):
+        """Compile the loop for these members, unless it has been compiled before.
+
+        Args:
+            members: Of which every block is a part.
+            times: Output times [s].
+            rtol: Relative tolerance of a step [1], or None.
+            atol: Absolute tolerance of a step [unit of the state], or None.
+            solver: diffrax solver.
+            max_steps: Most steps of a member.
+            extended: Whether to compute with C's long doubles; what comes out is
+                rounded to the precision that goes in.
+
+        Raises:
+            NotForLanesError: with the reason.
+        """
+        if not is_plain(solver):
+            known = ", ".join(kind.__name__ for kind in PLAIN)
+            raise NotForLanesError(f"{type(solver).__name__} is none of {known}")
+        scene, start = members.example()
+        self.like = jax.tree.map(_shape_of, start)
+        self._members = members
+        self._times, self._max_steps = times, max_steps
+        dtype = np.longdouble if extended else times.dtype
+        self._rtol, self._atol = tolerances(rtol, atol, dtype)
+        self._by_size = atol is None
+        leaves, tree = jax.tree.flatten(scene)
+        own = tuple(axis is not None for axis in members.scene_axes)
+        self._explains = explains_ends(scene, start)
+        self._outputs = stops_of(times)
+        self._stops = self._landings(scene, members)
+        kind = _Kind(
+            extended=extended,
+            tree=tree,
+            leaves=tuple((x.shape, x.dtype) for x in leaves),
+            own=own,
+            state=jax.tree.structure(self.like),
+            sizes=tuple((x.shape, x.dtype) for x in jax.tree.leaves(self.like)),
+            # what differs from member to member is not known
+            zeros=tuple(
+                zeros_of(x) if axis is None else b""
+                for x, axis in zip(leaves, members.scene_axes, strict=True)
+            ),
+        )
+        try:
+            self._loop = _compiled(kind, type(solver))
+        except NotElementwiseError as error:
+            raise NotForLanesError(
+                f"the right-hand side has {error}, which is more than arithmetic"
+            ) from error
+        except NoCompilerError as error:
+            raise NotForLanesError(str(error)) from error
+
+    def _landings(self, scene: Any, members: Members) -> Stops:
+        """Where all lanes stop; the way of time is forwards."""
+        times, _ = self._outputs
+        kinks, jump = corners(scene)
+        sense = -1.0 if times[-1] < times[0] else 1.0
+        if kinks is None:
+            ends = starts = np.unique(sense * times[1:])
+        elif jax.tree.leaves(members.axes()[0].base.motion):
+            raise NotForLanesError("the times of corners differ from member to member")
+        else:
+            found = landings(jnp.asarray(times), kinks, jump)
+            ends, starts = (
+                sense * np.asarray(found.ends),
+                sense * np.asarray(found.starts),
+            )
+        behind = np.isfinite(ends) & (ends > sense * times[0])
+        ends, starts = ends[behind], starts[behind]
+        # of outputs at one time the last
+        at = np.searchsorted(sense * times, starts, side="right") - 1
+        slots = np.where(sense * times[at] >= ends, at - 1, -1)
+        return Stops(ends, starts, slots, len(times) - 1)
+
+    def run(self, scene: Any, starts: Any, count: int) -> tuple[np.ndarray, Results]:
+        """Integrate one block.
+
+        Args:
+            scene: Scenes of the block, batched where members differ.
+            starts: Their starts, likewise.
+            count: How many there are.
+
+        Returns:
+            Packed states at the times, shape (M, T, n), and all results.
+        """
+        span = np.abs(self._times[-1] - self._times[0])
+        axes = self._members.axes()
+        begun = _prepared(axes, count, scene, starts, self._times[0], span)
+        y0, sizes, steps, fault, code_of_fault = map(np.asarray, begun)
+        own, shared = [np.zeros((count, 0))], [np.zeros(0)]
+        leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
+        for leaf, axis in leaves:
+            leaf = np.asarray(leaf)
+            if axis is None:
+                shared.append(leaf.reshape(-1))
+            else:
+                own.append(leaf.reshape(count, -1))
+        scale = sizes if self._by_size else np.ones_like(y0)
+        sense = -1.0 if self._times[-1] < self._times[0] else 1.0
+        eps = np.finfo(self._loop.dtype).eps
+        queue = Queue(
+            starts=y0,
+            atol=float(self._atol) * scale,
+            first_steps=steps,
+            own=np.concatenate(own, axis=1),
+            shared=np.concatenate(shared),
+            time=sense * float(self._times[0]),
+            rtol=float(self._rtol),
+            dtmin=float(10 * eps * max(abs(self._times[0]), abs(self._times[-1]))),
+            max_steps=self._max_steps,
+            sense=sense,
+        )
+        results = self._loop.run(queue, self._stops)
+        results = results._replace(
+            y=results.y.astype(y0.dtype),
+            final_y=results.final_y.astype(y0.dtype),
+            final_time=(sense * results.final_time).astype(y0.dtype),
+        )
+        y = np.concatenate([y0[:, None], results.y], axis=1)
+        if self._outputs.last is not None:
+            y = y[:, self._outputs.last]
+        good = fault == NO_FAULT
+        y[~good], results.final_y[~good] = np.nan, np.nan
+        code = results.code
+        if self._explains and is_stuck(code[good]).any():
+            code = self._code(scene, results)
+        code = np.where(good, code, code_of_fault)
+        return y, results._replace(code=code, fault=fault)
+
+    def states(self, y: Any) -> Any:
+        """States of packed numbers; every array with the same axes in front."""
+        return unpack(y, self.like)
+
+    def _code(self, scene: Any, results: Results) -> np.ndarray:
+        """The codes, once it is seen what a small step was."""
+        mapped = jax.vmap(explained, in_axes=(0, self._members.axes()[0], 0, 0))
+        state = self.states(results.final_y)
+        return np.asarray(mapped(results.code, scene, results.final_time, state))
+
+
+class _Kind(NamedTuple):
+    """What a compiled loop depends on, apart from numbers."""
+
+    tree: Any
+    leaves: tuple
+    own: tuple[bool, ...]
+    state: Any
+    sizes: tuple
+    zeros: tuple[bytes, ...]
+    extended: bool
+
+
+@functools.lru_cache(maxsize=64)
+def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
+    like = jax.tree.unflatten(
+        kind.state, [jax.ShapeDtypeStruct(*size) for size in kind.sizes]
+    )
+
+    def derivative(t, y, *leaves):
+        scene = jax.tree.unflatten(kind.tree, leaves)
+        return pack(rolling_derivative(scene, t, unpack(y, like)))
+
+    example = jax.tree.unflatten(
+        kind.tree, [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves]
+    )
+    return LaneLoop(
+        derivative,
+        jax.eval_shape(pack, like),
+        [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves],
+        list(kind.own),
+        weights_of(solver(), "the loop over lanes"),
+        zeros=kind.zeros,
+        extended=kind.extended,
+        watch=unbroken_numbers(unbroken, example, like),
+    )
+
+
+def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
+
+
+def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple:
+    """A packed start, sizes of its numbers, the first step [s], and what is wrong."""
+    fault, code = first_fault(scene, start, jnp.asarray(True))
+    start = consistent(scene, time, start)
+    y = pack(start)
+    # a start that is not finite ends at once, by its code
+    y = jnp.where((fault == NO_FAULT) & jnp.all(jnp.isfinite(y)), y, 0.0)
+    step = first_step(start.angular_velocity, span)
+    step = jnp.where(jnp.isfinite(step), step, 1.0)
+    return y, pack(error_sizes(start)), step, fault, code
+
+
+@eqx.filter_jit
+def _prepared(axes, count: int, scene, starts, time, span) -> tuple:
+    in_axes = (*axes, None, None)
+    mapped = jax.vmap(_readied, in_axes, axis_size=count)
+    return mapped(scene, starts, time, span)

@@ -1,0 +1,410 @@
+"""Integrate a scene in time: from a state to a trajectory."""
+
+import functools
+from typing import Any
+
+import diffrax as dfx
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..codegen.compile_effort import around_a_loop
+from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
+from ..dynamics.consistency import consistent
+from ..dynamics.rolling import rolling_derivative
+from ..dynamics.rolling_problem import (
+    corners,
+    error_sizes,
+    explained,
+    explains_ends,
+    has_margin,
+    unbroken,
+)
+from ..dynamics.scene import Rolling, Scene, Slipping, under
+from ..hybrid.hybrid_run import integrate_modes
+from ..hybrid.modes import Modes, of
+from ..integration.backends import check_method, run_by, without_native
+from ..integration.integrate import (
+    Outcome,
+    Problem,
+    check_steps,
+    checked_times,
+    default_solver,
+    integrate,
+    tolerances,
+    warn_single_precision,
+)
+from ..integration.projection import KeepingEnergy, check_keeps_energy
+from ..integration.solve import UNRECORDED_STEPS
+from ..integration.step_control import stops_of
+from ..kinematics.coordinates import FlyingState, SlidingState, State, pack
+from ..kinematics.voronets import AnyState, VoronetsState
+from ..paper.conversions import to_pole_free, to_voronets
+from ..paper.euler_lagrange import euler_lagrange_derivative
+from ..validation.checks import FieldError, flag, is_traced
+from ..validation.codes import NO_FAULT, is_stuck
+from .trajectory import Trajectory
+
+# what the loop in C does not have
+_DIFFRAX_ALONE = "stepsize_controller", "adjoint", "saveat", "progress_meter"
+_COORDINATES = ("pole-free", "voronets")
+
+
+def simulate(
+    scene: Scene,
+    start: AnyState,
+    times: Any,
+    *,
+    rtol: float | None = None,
+    atol: float | None = None,
+    formulation: str = "rolling",
+    coordinates: str = "pole-free",
+    modes: Modes | None = None,
+    solver: dfx.AbstractSolver | None = None,
+    stepsize_controller: dfx.AbstractStepSizeController | None = None,
+    adjoint: dfx.AbstractAdjoint | None = None,
+    saveat: dfx.SaveAt | None = None,
+    dt0: float | None = None,
+    max_steps: int | None = None,
+    progress_meter: dfx.AbstractProgressMeter | None = None,
+    method: str = "auto",
+    second_contact: bool = False,
+) -> Trajectory:
+    """Motion of a scene from a start, at the asked times.
+
+    Differentiable in forward and in reverse mode with respect to every float of the
+    scene and the start, and with respect to the times (and forwards once more, without
+    ``modes``); can be jitted and vmapped. A run that cannot go on does not raise: the
+    result's ``code`` says why it stopped, and what was not reached is NaN.
+
+    Args:
+        scene: What rolls on what, under which loads.
+        start: State at ``times[0]``, from :func:`rollkane.place`.
+        times: Output times [s], shape (T,), T >= 2, strictly increasing (or
+            decreasing: the motion backwards). The integrator lands on every one.
+        rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
+        atol: Absolute tolerance of a step [unit of the state]; 0.01 rtol by default,
+            for angular velocities times their length at the start if that is over 1.
+        formulation: ``"rolling"``, or its twin ``"euler_lagrange"``, the equations of
+            the paper.
+        coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
+            at the edges of the surfaces' charts.
+        modes: How the run may change between rolling, slipping and flight; None: the
+            scene's contact law holds throughout. With it derivatives can follow 16384
+            steps; ``solver`` is an explicit Runge-Kutta method; time runs forwards;
+            ``formulation``, ``coordinates``, ``stepsize_controller``, ``adjoint``,
+            ``saveat``, ``dt0`` and ``progress_meter`` cannot be chosen.
+        solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
+        stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
+        adjoint: diffrax adjoint; replaces the derivative along recorded steps.
+        saveat: diffrax ``SaveAt``; replaces ``times``, of which only the first and
+            last are then used.
+        dt0: First step [s]; chosen by the solver by default.
+        max_steps: Most steps taken; by default 4194304, of which derivatives can
+            follow 65536 (and are NaN beyond, never quietly wrong).
+        progress_meter: diffrax progress meter.
+        method: ``"native"``: the compiled loop in C of :func:`rollkane.ensemble`, on
+            a CPU: diffrax's steps in a tenth of the time and half of the wait for the
+            first result. ``"diffrax"``: XLA's programs. ``"auto"``: native where it
+            can; the result's ``method`` and ``why`` tell. Native it cannot with
+            ``stepsize_controller``, ``adjoint``, ``saveat``, ``progress_meter``, or
+            without ``modes`` with a ``second_contact`` to look for, a ``solver`` other
+            than Bosh3, Tsit5, Dopri5 and Dopri8, or rates that are more than
+            arithmetic. Where there is no C compiler, or it fails, diffrax takes its
+            place, with a warning once.
+        second_contact: Whether the run ends, with ``Code.SECOND_CONTACT``, where the
+            body reaches its base at a second place. That is looked for after each step,
+            on samples of both surfaces (:mod:`rollkane.dynamics.clearance`), by
+            diffrax's loop: a tenth to a few milliseconds a step.
+
+    Returns:
+        The trajectory.
+
+    Warns:
+        RuntimeWarning: there is no C compiler that works, once.
+
+    Raises:
+        FieldError: times that are not increasing, tolerances out of range, unknown
+            names, a start that does not belong to the scene.
+    """
+    _check_names(formulation, coordinates)
+    check_method(method)
+    _check_law(scene, formulation, coordinates)
+    if isinstance(solver, KeepingEnergy):
+        check_keeps_energy("simulate.scene", scene)
+    options = {
+        "formulation": formulation != "rolling",
+        "coordinates": coordinates != "pole-free",
+        "stepsize_controller": stepsize_controller is not None,
+        "adjoint": adjoint is not None,
+        "saveat": saveat is not None,
+        "dt0": dt0 is not None,
+        "progress_meter": progress_meter is not None,
+    }
+    looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
+    if modes is not None:
+        _refuse("modes", options)
+        return _simulate_modes(
+            scene, start, times, modes, rtol, atol, solver, max_steps, looks, method
+        )
+    foreign = {"second_contact": looks}
+    foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
+    if method == "native":
+        _refuse("method", foreign)
+    check_start(scene, start)
+    dtype = start.angular_velocity.dtype
+    warn_single_precision(dtype)
+    times = checked_times(times, dtype)
+    check_span(scene, times)
+    start = _in_coordinates(coordinates, scene, start, times[0])
+    run = functools.partial(
+        integrate,
+        *(_PROBLEMS[formulation], scene, start, times),
+        rtol=rtol,
+        atol=atol,
+        solver=solver,
+        stepsize_controller=stepsize_controller,
+        adjoint=adjoint,
+        saveat=saveat,
+        dt0=dt0,
+        max_steps=max_steps,
+        progress_meter=progress_meter,
+        allowed=is_apart if looks else None,
+    )
+    refusal = without_native(solver, foreign)
+    kind = formulation, coordinates, type(solver)
+    outcome, method, why = run_by(method, refusal, kind, (scene, start), run)
+    return Trajectory(
+        time=outcome.time,
+        state=outcome.state,
+        scene=scene,
+        code=_code_at(outcome, scene, looks),
+        final_time=outcome.final_time,
+        final_state=outcome.final_state,
+        steps=outcome.steps,
+        rejected_steps=outcome.rejected_steps,
+        fault=outcome.fault,
+        method=method,
+        why=why,
+    )
+
+
+def _refuse(having: str, given: dict[str, bool]) -> None:
+    for name, is_given in given.items():
+        if is_given:
+            remedy = f"leave {name} out, or {having}"
+            problem = f"cannot be chosen with {having}"
+            raise FieldError(f"simulate.{name}", "...", problem, remedy)
+
+
+def _simulate_modes(
+    scene: Scene,
+    start,
+    times,
+    modes: Modes,
+    rtol,
+    atol,
+    solver,
+    max_steps,
+    looks,
+    method,
+) -> Trajectory:
+    """A run that changes between rolling, slipping and flight."""
+    if not isinstance(modes, Modes):
+        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
+    known = State, SlidingState, FlyingState
+    if not isinstance(start, known):
+        remedy = "make it with rollkane.place or rollkane.release"
+        raise FieldError("simulate.start", start, "must be a State", remedy)
+    if isinstance(start, SlidingState) and modes.friction is None:
+        raise FieldError(
+            "Modes.friction", None, "is missing for a start that slips", "give it"
+        )
+    dtype = start.angular_velocity.dtype
+    warn_single_precision(dtype)
+    times = checked_times(times, dtype)
+    if not is_traced(times) and times[-1] < times[0]:
+        raise FieldError(
+            "simulate.times", times, "run backwards", "let them increase with modes"
+        )
+    check_span(scene, times)
+    by_size = atol is None
+    rtol, atol = tolerances(rtol, atol, dtype)
+    check_steps(max_steps, None)
+    law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
+    rolls = lambda x: isinstance(x, Rolling)
+    modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
+    scene = under(scene, modes)
+    run = functools.partial(
+        _run_modes,
+        scene,
+        start,
+        jnp.asarray(times),
+        stops_of(times, 100.0 * float(np.finfo(times.dtype).eps)),
+        jnp.asarray(rtol, dtype),
+        jnp.asarray(atol, dtype),
+        jnp.asarray(by_size),
+        default_solver(rtol) if solver is None else solver,
+        UNRECORDED_STEPS if max_steps is None else max_steps,
+        looks,
+    )
+    refusal = without_native(None, {})
+    outcome, method, why = run_by(
+        method, refusal, ("modes", looks), (scene, start), run
+    )
+    return Trajectory(
+        time=jnp.asarray(times),
+        state=outcome.state,
+        scene=scene,
+        code=outcome.code,
+        final_time=outcome.final_time,
+        final_state=outcome.final_state,
+        steps=outcome.steps,
+        rejected_steps=outcome.rejected_steps,
+        switches=outcome.switches,
+        fault=outcome.fault,
+        method=method,
+        why=why,
+    )
+
+
+def _run_modes(*arguments: Any, native: bool) -> Any:
+    """See :func:`_through_changes`."""
+    return (_around_loop if native else _by_xla)(native, *arguments)
+
+
+def _through_changes(
+    native, scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks
+):
+    sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
+    atol = atol * jnp.where(by_size, sizes, 1.0)
+    allowed = is_apart if looks else None
+    return integrate_modes(
+        *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
+        allowed=allowed,
+        native=native,
+    )
+
+
+_jit = functools.partial(eqx.filter_jit, _through_changes)
+_by_xla, _around_loop = _jit(), around_a_loop(_jit)
+
+
+def _spin(state: AnyState) -> Float[Array, "3"]:
+    return state.angular_velocity
+
+
+_PROBLEMS = {
+    name: Problem(derivative, _spin, error_sizes, corners, consistent, unbroken)
+    for name, derivative in {
+        "rolling": rolling_derivative,
+        "euler_lagrange": euler_lagrange_derivative,
+    }.items()
+}
+
+
+def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
+    """The code, once it is seen what a small step was."""
+    code, t, state = outcome.code, outcome.final_time, outcome.final_state
+    if not is_traced(code) and not is_stuck(int(code)):
+        return code  # nothing to explain, and nothing to compile
+    bad = outcome.fault != NO_FAULT
+    if explains_ends(scene, state):
+        code = jnp.where(bad, code, explained(code, scene, t, state))
+    if looks:
+        code = jnp.where(bad, code, code_of_touch(code, scene, t, state))
+    return code
+
+
+def _check_names(formulation: str, coordinates: str) -> None:
+    for field, value, known in (
+        ("simulate.formulation", formulation, tuple(_PROBLEMS)),
+        ("simulate.coordinates", coordinates, _COORDINATES),
+    ):
+        if value not in known:
+            raise FieldError(field, value, "is not known", f"use one of {known}")
+
+
+def _check_law(scene: Scene, formulation: str, coordinates: str) -> None:
+    """The paper's equations and coordinates are those of rolling alone."""
+    alone = type(scene.contact) is Rolling and not has_margin(scene)
+    for field, value, general in (
+        ("simulate.formulation", formulation, "rolling"),
+        ("simulate.coordinates", coordinates, "pole-free"),
+    ):
+        if value != general and not alone:
+            raise FieldError(
+                field,
+                value,
+                "has rolling without slipping only, and no dry resistance",
+                f'use "{general}", or Rolling() without dry resistance',
+            )
+
+
+def check_start(scene: Scene, start: AnyState) -> None:
+    """Refuse a start that does not belong to the scene."""
+    if not isinstance(start, (State, VoronetsState)):
+        raise FieldError(
+            "simulate.start", start, "must be a State", "make it with rollkane.place"
+        )
+    slips = isinstance(scene.contact, Slipping)
+    if slips != isinstance(start, SlidingState):
+        raise FieldError(
+            "simulate.start",
+            start,
+            f"is no state of a body that {'slips' if slips else 'rolls'}",
+            "place the body in this scene",
+        )
+    body, base = scene.body.surface, scene.base.surface
+    shapes: dict[str, tuple] = {
+        "angular_velocity": (3,),
+        "alpha": (scene.coordinate_count,),
+        "alpha_dot": (scene.coordinate_count,),
+    }
+    if isinstance(start, VoronetsState):
+        shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
+    else:
+        carried = body.coordinate_count if scene.carries_point else 0
+        shapes |= {
+            "orientation": (4,),
+            "contact_on_base": (base.coordinate_count,),
+            "contact_on_body": (carried,),
+        }
+    for field, wanted in shapes.items():
+        shape = getattr(start, field).shape
+        if shape != wanted:
+            raise FieldError(
+                f"simulate.start.{field}",
+                shape,
+                f"must have shape {wanted} in this scene",
+                "place the body in this scene (a batch of starts needs jax.vmap)",
+            )
+
+
+def check_span(scene: Scene, times: Any) -> None:
+    """Refuse times at which the base's motion is not known."""
+    motion = scene.base.motion
+    span = None if motion is None else motion.span
+    if span is None or is_traced(times, span):
+        return
+    first, last = float(span[0]), float(span[1])
+    slack = 1e-9 * (last - first)
+    least, most = float(np.min(times)), float(np.max(times))
+    if least < first - slack or most > last + slack:
+        raise FieldError(
+            "simulate.times",
+            (least, most),
+            f"leave the record of Base.motion, which is known from {first:g} to "
+            f"{last:g} s",
+            "stay within it, or add samples (of zero, for a base that coasts on)",
+        )
+
+
+def _in_coordinates(coordinates: str, scene: Scene, start, time):
+    """The start in the asked coordinates."""
+    if coordinates == "pole-free":
+        return to_pole_free(scene, start, time)
+    sign = start.sign if isinstance(start, VoronetsState) else -1
+    return to_voronets(scene, start, time, sign)

@@ -1,0 +1,181 @@
+"""Bad input: one way to refuse it, naming the field, the value and the remedy.
+
+Known numbers are checked at once and refused with a :class:`FieldError`. Numbers that
+are still being traced by JAX become NaN instead, in ``jit``, ``vmap`` and derivatives
+alike: a run with them ends with a code and names the field
+(:mod:`rollkane.validation.codes`), and a member of a batch fails alone. Nothing calls
+back to the host.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+
+class FieldError(ValueError):
+    """A field with a value that cannot be used.
+
+    Attributes:
+        field: Where it stands, for example ``Body.mass``.
+        value: What was given.
+        problem: What is wrong with it.
+        remedy: What to do.
+    """
+
+    def __init__(self, field: str, value: Any, problem: str, remedy: str):
+        """Say what is wrong with which field, and what to do (see the class)."""
+        self.field, self.value, self.problem, self.remedy = (
+            field,
+            value,
+            problem,
+            remedy,
+        )
+        super().__init__(f"{field}: {problem}, got {_shown(value)}; {remedy}")
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, Tracer):
+        return f"a traced {value.dtype}{list(value.shape)}"
+    if isinstance(value, (np.ndarray, jax.Array)):
+        value = np.asarray(value).tolist()
+    name = getattr(value, "__name__", None)
+    text = f"the function {name}" if callable(value) and name else repr(value)
+    return text if len(text) <= 200 else text[:197] + "..."
+
+
+def is_traced(*values: Any) -> bool:
+    """Whether any leaf is an abstract value of a JAX transformation."""
+    return any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
+
+
+def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) -> Array:
+    """Convert to an array of floats of the given shape, or say why it cannot be.
+
+    Args:
+        field: Name used in the error.
+        value: Number, nested sequence or array; floating arrays keep their dtype.
+        shape: Wanted shape; None stands for any length of that axis.
+        meaning: What the field is, with its unit, for the remedy.
+    """
+    remedy = f"give {meaning}"
+    if isinstance(value, (str, bytes, bool)) or value is None:
+        raise FieldError(field, value, "must be made of numbers", remedy)
+    try:
+        # NumPy where the numbers are known: each jnp call would compile a program
+        array = jnp.asarray(value) if is_traced(value) else np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise FieldError(field, value, "must be made of numbers", remedy) from error
+    if array.dtype.kind not in "iuf" and not jnp.issubdtype(array.dtype, jnp.floating):
+        raise FieldError(field, value, "must be made of real numbers", remedy)
+    matches = len(shape) == array.ndim and all(
+        wanted in (None, found)
+        for wanted, found in zip(shape, array.shape, strict=True)
+    )
+    if not matches:
+        wanted = "(" + ", ".join("n" if n is None else str(n) for n in shape) + ")"
+        raise FieldError(
+            field, value, f"must have shape {wanted}, not {array.shape}", remedy
+        )
+    widest = jnp.result_type(float)
+    if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
+        array = array.astype(widest)
+    if is_traced(array):
+        return _finite_or_nan(array)
+    array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
+    return jnp.asarray(array)
+
+
+@jax.jit
+def _finite_or_nan(array: Array) -> Array:
+    return spoilt(array, ~jnp.all(jnp.abs(array) < jnp.inf))
+
+
+def spoilt(array: Any, bad: Any) -> Array:
+    """The array, or NaN where it is bad: its derivatives, backwards too."""
+    array = jnp.asarray(array)
+    return array * jnp.where(bad, jnp.nan, 1.0).astype(array.dtype)
+
+
+@jax.custom_jvp
+def cleared(array: Array, good: Array) -> Array:
+    """The array, or zeros where it is not good; their derivatives are NaN."""
+    return jnp.where(good, array, 0.0)
+
+
+@cleared.defjvp
+def _(primals, tangents):
+    array, good = primals
+    return cleared(array, good), spoilt(tangents[0], ~good)
+
+
+def refuse(
+    array: Any,
+    bad: Any,
+    field: str,
+    problem: str,
+    remedy: str,
+) -> Any:
+    """Return ``array`` unless it is bad.
+
+    Args:
+        array: What is checked, and returned.
+        bad: Where it is bad, as a truth value, or as a function of it that takes a
+            NumPy array (known numbers) as well as a traced one.
+        field: Name used in the error.
+        problem: What is wrong with it.
+        remedy: What to do.
+
+    Raises:
+        FieldError: known numbers that are bad; traced ones become NaN.
+    """
+    if callable(bad):
+        bad = bad(array if is_traced(array) else np.asarray(array))
+    if not is_traced(array, bad):
+        if bool(np.any(bad)):
+            raise FieldError(field, array, problem, remedy)
+        return array
+    return spoilt(array, jnp.any(bad))
+
+
+def positive(field: str, value: Any, shape: tuple[int | None, ...], meaning: str):
+    """A finite number (or array of them) greater than zero."""
+    array = real(field, value, shape, meaning)
+    return refuse(
+        array, lambda x: ~(x > 0), field, "must be positive", f"give {meaning}"
+    )
+
+
+def flag(field: str, value: Any) -> bool:
+    """True or False, and nothing that merely looks like it."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise FieldError(field, value, "must be True or False", "write one of the two")
+    return bool(value)
+
+
+def whole(field: str, value: Any, least: int, remedy: str) -> int:
+    """A whole number, no less than another.
+
+    Raises:
+        FieldError: it is not.
+    """
+    good = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not good or value < least:
+        problem = f"must be a whole number of at least {least}"
+        raise FieldError(field, value, problem, remedy)
+    return int(value)
+
+
+def not_negative(field: str, value, unit: str) -> Float[Array, ""]:
+    """A number that is zero or more.
+
+    Raises:
+        FieldError: it is not.
+    """
+    value = real(field, value, (), f"a number {unit}")
+    return refuse(
+        value, lambda x: ~(x >= 0.0), field, "must not be negative", "give 0 or more"
+    )

@@ -1,0 +1,148 @@
+"""Why a run ended: its code, and the field at fault where a number cannot be used.
+
+A traced number that a check refuses becomes NaN (:mod:`rollkane.validation.checks`);
+here a run finds which of its numbers it is, so that it can end with a code and name the
+field.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+
+class Code:
+    """Why a run ended: values of ``Trajectory.code``."""
+
+    COMPLETED = 0
+    MAX_STEPS = 1
+    STEP_TOO_SMALL = 2
+    BAD_START = 3
+    STOPPED = 4
+    CHART_EDGE = 5
+    PAINLEVE = 6
+    TOO_MANY_SWITCHES = 7
+    BAD_SCENE = 8
+    SURFACE_EDGE = 9
+    SECOND_CONTACT = 10
+    INCONSISTENT_IMPACT = 11
+
+
+_REASONS = {
+    Code.COMPLETED: "completed",
+    Code.MAX_STEPS: "the largest number of steps was reached: raise max_steps, or "
+    "loosen rtol",
+    Code.STEP_TOO_SMALL: "the step became too small for the clock: the motion reached "
+    "a singular place (surfaces that fit each other) or a function of yours gave NaN "
+    "there; look at final_time and final_state",
+    Code.BAD_START: "the start cannot be used: a number in it or in the times is NaN, "
+    "the times are not in order, or the first rates are not finite",
+    Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
+    'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
+    "or with another chart",
+    Code.PAINLEVE: "no normal force fits the friction here (Painleve's paradox): the "
+    "body jams or jumps, which this contact law does not have; lower the friction, or "
+    "look at final_state with rollkane.dynamics.rolling.painleve_margin",
+    Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
+    "keeps: raise it, or rest_speed if the body comes to rest by ever smaller rebounds",
+    Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
+    Code.BAD_SCENE: "the scene cannot be used: a number in it is NaN",
+    Code.SURFACE_EDGE: "the contact came to where a surface ends or has no tangent "
+    "plane: the flat of a disc, which comes to lie on its face (a Ring is a wire, and "
+    "its contact goes round on a curved base), the tip of a cone, the rim of a cup; "
+    "look at final_time and final_state",
+    Code.SECOND_CONTACT: "the body reached the base at a second place; look at "
+    "final_time and final_state, or leave out second_contact to go on through it",
+    Code.INCONSISTENT_IMPACT: "Newton's restitution with friction has no impulse for "
+    "this impact that pushes, acts against the slip and adds no energy: use "
+    'Modes(impact="energetic")',
+}
+
+NO_FAULT = -1
+_REFUSED = (
+    "a check refuses what was given there, or it was NaN; make the same with numbers "
+    "that are known (outside of jit, vmap and grad) to see the check's sentence"
+)
+
+
+class Fields(NamedTuple):
+    """Names of the numbers that a run depends on, in the order in which it checks them.
+
+    Attributes:
+        names: Of every array of the model, then of the start.
+        of_model: How many of them are the model's.
+    """
+
+    names: tuple[str, ...]
+    of_model: int
+
+    @staticmethod
+    def of(model: Any, start: Any, kind: str = "scene") -> "Fields":
+        """Those of a model (a scene, a system) and a start, or of their structures."""
+        names = []
+        for name, tree in ((kind, model), ("start", start)):
+            leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
+            names += [name + _shown(path) for path, _ in leaves]
+        return Fields(tuple(names), len(jax.tree.leaves(model)))
+
+    @property
+    def times(self) -> int:
+        """Number that stands for the output times."""
+        return len(self.names)
+
+    def reason(self, code: Any, fault: Any) -> str:
+        """What a code says, with the field at fault.
+
+        Args:
+            code: One of :class:`Code`.
+            fault: Number of the field, or ``NO_FAULT``.
+        """
+        code, fault = int(code), int(fault)
+        if fault == NO_FAULT:
+            return reason_of(code)
+        if fault == self.times:
+            return "the times cannot be used: they are not finite or not in order"
+        what = self.names[fault].partition(".")[0]
+        return f"the {what} cannot be used: {self.names[fault]} is NaN: {_REFUSED}"
+
+
+def _shown(path: tuple) -> str:
+    """A path of keys as a user would write it; private fields are left out."""
+    shown = [jax.tree_util.keystr((key,)) for key in path]
+    return "".join(key for key in shown if not key.startswith("._"))
+
+
+def first_fault(
+    model: Any, start: Any, in_order: Array
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """The first field that is NaN, and the code of a run with it.
+
+    Args:
+        model: Scene or system.
+        start: State.
+        in_order: Whether the times are finite and in order.
+
+    Returns:
+        The field's number in ``Fields`` (``NO_FAULT``: none) and the code.
+    """
+    model, start = jax.tree.leaves(model), jax.tree.leaves(start)
+    spoiled = [jnp.any(jnp.isnan(x)) for x in (*model, *start)] + [~in_order]
+    flags = jnp.stack(spoiled)
+    first = jnp.argmax(flags)
+    code = jnp.where(first < len(model), Code.BAD_SCENE, Code.BAD_START)
+    found = jnp.any(flags)
+    return (
+        jnp.where(found, first, NO_FAULT),
+        jnp.where(found, code, Code.COMPLETED),
+    )
+
+
+def is_stuck(code: Any) -> Any:
+    """Whether steps became too short for the clock, for a reason still to be found."""
+    return (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
+
+
+def reason_of(code: Any) -> str:
+    """What a code says, and what to do about it."""
+    return _REASONS[int(code)]
