@@ -10,13 +10,13 @@ from pathlib import Path
 import jax
 import numpy as np
 from matplotlib.collections import PolyCollection
-from rollkane.history import history
-from rollkane.mesh import surface_mesh
-from rollkane.plot_path import draw_path
-from rollkane.plot_style import BLUE, FAINT, INK, RED, dress, new_figure, png
-from rollkane.whole_file import write_whole
 
 import rollkane as rk
+from rollkane.files.atomic_file import write_whole
+from rollkane.pictures.mesh import surface_mesh
+from rollkane.pictures.motion_samples import motion_samples
+from rollkane.pictures.plot_path import draw_path
+from rollkane.pictures.plot_style import BLUE, FAINT, INK, RED, dress, new_figure, png
 
 SHOWN = (0.0, 1.35, 2.7, 4.0, 5.7)  # times at which the stone is drawn [s]
 LIGHT, DARK = np.array([0.957, 0.937, 0.902]), np.array([0.851, 0.471, 0.235])
@@ -93,7 +93,7 @@ def draw_stone(panel, mesh, quaternion, height, eye):
 def main():
     """Write rattleback.png beside this file."""
     jax.config.update("jax_enable_x64", True)
-    motion = history(stone_in_motion())
+    motion = motion_samples(stone_in_motion())
     mesh = surface_mesh(
         rk.Ellipsoid((0.2, 0.03, 0.02)),
         motion.contact_on_body,

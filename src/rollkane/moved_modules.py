@@ -12,6 +12,22 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 NEW = {
+    "native.cache": "codegen.cache",
+    "native.compiler": "codegen.compiler",
+    "native.listing": "codegen.scalar_source",
+    "native.right_hand_side": "codegen.right_hand_side",
+    "native.step_source": "codegen.runge_kutta_source",
+    "native.xla_call": "codegen.ffi_call",
+    "native.derivatives": "codegen.derivative_loops",
+    "native.lanes": "codegen.lane_loop",
+    "native.runs": "codegen.run_loop",
+    "native.scalars": "codegen.scalars",
+    "native.writer": "codegen.statement_writer",
+    "native.memory": "codegen.array_memory",
+    "native.array_operations": "codegen.array_operations",
+    "native.indexed_operations": "codegen.indexed_operations",
+    "native.structured": "codegen.control_flow",
+    "native.whole": "codegen.whole_program",
     "checks": "validation.checks",
     "codes": "validation.codes",
     "user_function": "validation.user_functions",
@@ -147,6 +163,10 @@ class _Loader(Loader):
 
 
 def install() -> None:
-    """Let Python's imports find former names, once."""
+    """Let Python's imports find former names, once.
+
+    Before it looks into folders: in that of a package under its former name it would find
+    its modules a second time.
+    """
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.append(_Finder())
+        sys.meta_path.insert(0, _Finder())

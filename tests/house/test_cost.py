@@ -207,8 +207,8 @@ def test_no_formulation_asks_for_an_effect_that_is_not_there(equations, monkeypa
     for name in ("to_fixed", "to_base", "placed", "velocity_at", "acceleration_at"):
         assert callable(getattr(BaseKinematics, name))
         monkeypatch.setattr(BaseKinematics, name, locked)
-    for room in (mass_matrix, quasi_energy):
-        monkeypatch.setattr(room, "total", locked)
+    for module in (mass_matrix, quasi_energy):
+        monkeypatch.setattr(module, "total", locked)
     for name in ("momentum_rate", "_solve", "_slipping", "_against_spin"):
         assert callable(getattr(contact_laws, name))
         monkeypatch.setattr(contact_laws, name, locked)

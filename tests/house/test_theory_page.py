@@ -1,5 +1,6 @@
 """docs/theory.md is true: every function and every test that it names is there."""
 
+import ast
 import importlib
 import re
 from pathlib import Path
@@ -19,23 +20,71 @@ def test_the_table_is_read():
     assert len(ROWS) == len(listed) > 20
 
 
+# (1.17) writes derivatives of vectors out by components: automatic here
+PAPER = {f"1.{k}" for k in range(1, 17)} | {f"2.{k}" for k in range(1, 11)}
+NUMBERS = r"\(([1-9]\.\d+)\)(?: to \(([1-9]\.\d+)\))?"
+OWN = re.findall(r"^    \((\d\.\d+)\) ", PAGE, re.M)
+
+
+def numbers_of(text: str) -> tuple[list[str], list[str]]:
+    """Numbers of equations that a text cites: of the paper, and of the page's own.
+
+    Those behind "[A] (1.9), " are the paper's, too; of "(8.6) to (8.10)" all.
+    """
+    paper, own = [], []
+    found = own
+    for part in re.split(r"(\[[AB]\]|[;.:] |\n\n|docs/theory\.md)", text):
+        if re.fullmatch(r"\[[AB]\]|[;.:] |\n\n|docs/theory\.md", part):
+            found = {"[A]": paper, "[B]": []}.get(part, own)
+            continue
+        for first, last in re.findall(NUMBERS, part):
+            chapter, begin = first.split(".")
+            end = int(last.split(".")[1] if last else begin)
+            found += [f"{chapter}.{k}" for k in range(int(begin), end + 1)]
+    return paper, own
+
+
+def test_equations_are_numbered_in_order():
+    expected = []
+    for number in OWN:
+        chapter = number.split(".")[0]
+        count = sum(x.startswith(f"{chapter}.") for x in expected)
+        expected.append(f"{chapter}.{count + 1}")
+    assert expected == OWN
+    assert {x[0] for x in OWN} == {str(k) for k in range(1, 10)}
+
+
 def test_every_numbered_equation_has_a_row():
-    # (1.17) writes derivatives of vectors out by components: automatic here
-    expected = {f"1.{k}" for k in range(1, 17)} | {f"2.{k}" for k in range(1, 11)}
-    # those of this page's own
-    own = set(re.findall(r"^    \((7\.\d+)\)", PAGE, re.M))
-    assert own == {f"7.{k}" for k in range(1, 12)}
-    cited = [number for equation, *_ in ROWS for number in numbers_of(equation)]
-    assert set(cited) == expected | own
+    rows = [numbers_of(equation) for equation, *_ in ROWS]
+    assert {x for paper, _ in rows for x in paper} == PAPER
+    assert {x for _, own in rows for x in own} == set(OWN)
 
 
-def numbers_of(equation: str) -> list[str]:
-    """Numbers of equations, those of "(7.6) to (7.10)" one by one."""
-    between = re.fullmatch(r"\((\d)\.(\d+)\) to \(\1\.(\d+)\)", equation)
-    if between:
-        part, first, last = between.groups()
-        return [f"{part}.{k}" for k in range(int(first), int(last) + 1)]
-    return re.findall(r"\((\d\.\d+)\)", equation)
+def test_what_the_code_cites_is_there():
+    """Equations and sections of the page, in docstrings and comments."""
+    sections = set(re.findall(r"^## (\d)\.", PAGE, re.M))
+    looked_at = 0
+    for path in (ROOT / "src").rglob("*.py"):
+        for text in texts_of(path):
+            assert not re.search(r"\btheory,? (section|\d)", text), path.name
+            paper, own = numbers_of(text)
+            assert set(paper) <= PAPER | {"1.17"}, (path.name, paper)
+            assert set(own) <= set(OWN), (path.name, own)
+            for named in re.findall(r"docs/theory\.md, sections? ([\d, and]+)", text):
+                assert set(re.findall(r"\d", named)) <= sections, path.name
+                looked_at += 1
+            looked_at += len(own)
+    assert looked_at > 60
+
+
+def texts_of(path: Path) -> list[str]:
+    """Docstrings and comments of a module."""
+    text = path.read_text()
+    nodes = ast.walk(ast.parse(text))
+    kinds = ast.Module, ast.ClassDef, ast.FunctionDef
+    told = [ast.get_docstring(node) for node in nodes if isinstance(node, kinds)]
+    comments = re.findall(r"((?:^[ \t]*# .*\n)+)", text, re.M)
+    return [x for x in told if x] + comments
 
 
 @pytest.mark.parametrize(("equation", "name", "path", "test"), ROWS)

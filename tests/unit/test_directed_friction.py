@@ -1,4 +1,4 @@
-"""The direction of a slip that begins, docs/theory.md (7.5)."""
+"""The direction of a slip that begins, docs/theory.md (8.5)."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ def bodies(rng, count):
     friction mu has there, by a tenth or all of what friction has.
 
     Returns:
-        M and B of (7.5), and the planted directions, for one newton of normal force.
+        M and B of (8.5), and the planted directions, for one newton of normal force.
     """
     found = []
     while len(found) < count:

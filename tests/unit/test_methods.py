@@ -132,7 +132,7 @@ def test_rates_that_search_are_tried_once(monkeypatch):
     assert run.method == "diffrax"
     assert "more than arithmetic: while" in run.why
     asked = []
-    traced = rk.simulation.integrate
+    traced = integration.integrate
     note = lambda *a, native, **k: (
         asked.append(native) or traced(*a, native=native, **k)
     )

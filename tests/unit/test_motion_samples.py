@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rollkane.dynamics.rolling import contact_of, rolling_derivative
-from rollkane.pictures.motion_samples import history
+from rollkane.pictures.motion_samples import motion_samples
 from rollkane.validation.checks import FieldError
 from tests.pictures import rolling_on_plane, rolling_on_sphere
 
@@ -17,7 +17,7 @@ def run():
 
 
 def test_columns_are_the_trajectory_s_own(run):
-    drawn = history(run)
+    drawn = motion_samples(run)
     for name in ("position", "orientation", "contact_on_base"):
         np.testing.assert_allclose(
             getattr(drawn, name), np.asarray(getattr(run, name)), atol=1e-12
@@ -38,19 +38,21 @@ def test_velocity_is_the_rate_of_the_position(run):
         place = lambda state: contact_of(run.scene, 0.0, state).position
         return jax.jvp(place, (state,), (rates,))[1]
 
-    np.testing.assert_allclose(history(run).velocity, rate(run.state), atol=1e-12)
+    np.testing.assert_allclose(
+        motion_samples(run).velocity, rate(run.state), atol=1e-12
+    )
 
 
 def test_rows_that_were_not_reached_are_known(run):
-    assert history(run).reached.all()
-    stopped = history(rolling_on_sphere(reached=4))
+    assert motion_samples(run).reached.all()
+    stopped = motion_samples(rolling_on_sphere(reached=4))
     assert stopped.reached.tolist() == [True] * 4 + [False] * 20
     assert np.isnan(stopped.energy_error[4:]).all()
     assert len(stopped.rows(stopped.reached).time) == 4
 
 
 def test_energy_error_of_no_energy_at_all(run):
-    drawn = history(run)
+    drawn = motion_samples(run)
     zero = drawn._replace(energy=0 * drawn.time)
     assert (zero.energy_error == 0).all()
     unknown = drawn._replace(energy=np.nan * drawn.time)
@@ -61,4 +63,4 @@ def test_a_batch_is_refused():
     run = rolling_on_plane()
     batch = jax.tree.map(lambda x: np.stack([x, x]), run)
     with pytest.raises(FieldError, match="one lane"):
-        history(batch)
+        motion_samples(batch)

@@ -16,12 +16,12 @@ import rollkane as rk
 from rollkane.files.export import to_xarray
 from rollkane.files.scene_files import load_scene
 from rollkane.geometry.rotations import rotation_matrix
-from rollkane.pictures.motion_samples import history
+from rollkane.pictures.motion_samples import motion_samples
 from rollkane.pictures.plotting import figure_contact_path, figure_overview
 from rollkane.pictures.summary import summary
 from rollkane.pictures.viewer import view_data
 
-ASSETS = resources.files("rollkane") / "viewer_assets"
+ASSETS = resources.files("rollkane.pictures") / "viewer_assets"
 # a product of a dozen roundings of numbers of order 1
 ROUNDED = 1e-13
 
@@ -60,7 +60,7 @@ def turned(quaternions, vectors):
     "name", [pytest.param("table", marks=pytest.mark.slow), "turntable", "shell"]
 )
 def test_body_and_base_meet_in_every_frame(name, request):
-    drawn = history(request.getfixturevalue(name))
+    drawn = motion_samples(request.getfixturevalue(name))
     by_body = drawn.position + turned(drawn.orientation, drawn.contact_on_body)
     by_base = drawn.base_origin + turned(drawn.base_orientation, drawn.contact_on_base)
     np.testing.assert_allclose(by_body, by_base, atol=ROUNDED)
@@ -88,7 +88,7 @@ def test_velocities_are_the_rates_of_the_poses(table):
         S = A_dot @ A.T
         return velocity, glide, jnp.stack([S[2, 1], S[0, 2], S[1, 0]])
 
-    drawn = history(table)
+    drawn = motion_samples(table)
     velocity, glide, turn = rates(table.time, table.state)
     np.testing.assert_allclose(drawn.velocity, velocity, atol=1e-12)
     np.testing.assert_allclose(drawn.base_velocity, glide, atol=1e-12)
@@ -97,17 +97,17 @@ def test_velocities_are_the_rates_of_the_poses(table):
 
 @pytest.mark.slow
 def test_which_energy_is_kept(turntable, table, shell):
-    assert history(turntable).kept == "moving energy"
-    assert history(shell).kept == "energy"
-    assert history(table).kept == ""
-    assert np.isnan(history(table).energy_error).all()
+    assert motion_samples(turntable).kept == "moving energy"
+    assert motion_samples(shell).kept == "energy"
+    assert motion_samples(table).kept == ""
+    assert np.isnan(motion_samples(table).energy_error).all()
     # the default rtol, 1e-9 a step, over some hundred steps
     for run in (turntable, shell):
-        assert history(run).energy_error.max() < 1e-6
+        assert motion_samples(run).energy_error.max() < 1e-6
     # a tilted turntable keeps neither: gravity turns on its axes
     tilted = load_scene("ball-on-tilted-turntable").scene
     still = eqx.tree_at(lambda r: r.scene, turntable, tilted)
-    assert history(still).kept == ""
+    assert motion_samples(still).kept == ""
 
 
 def test_what_is_driven_does_work(shell):
@@ -120,7 +120,7 @@ def test_what_is_driven_does_work(shell):
 
 
 def test_carried_masses_are_where_the_user_put_them(shell):
-    drawn = history(shell)
+    drawn = motion_samples(shell)
     (pendulum,) = shell.scene.supported
     assert drawn.masses.tolist() == np.asarray(pendulum.mass).tolist()
     for alpha, places in zip(drawn.alpha, drawn.carried, strict=True):
@@ -140,7 +140,7 @@ def test_a_carried_body_is_drawn_with_its_inertia():
     scene = rk.Scene(body, supported=part)
     up, still = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     start = rk.place(scene, up, still, still, alpha=[0.4], alpha_dot=[0.0])
-    drawn = history(rk.simulate(scene, start, (0.0, 0.01)))
+    drawn = motion_samples(rk.simulate(scene, start, (0.0, 0.01)))
     (points, _), masses = drawn.carried, drawn.masses
     assert masses.sum() == pytest.approx(0.6)
     centre = masses @ points / masses.sum()
@@ -160,7 +160,7 @@ def unpacked(packed):
 
 
 def test_the_page_has_the_base_s_pose_where_it_moves(table, shell):
-    data, drawn = view_data(table), history(table)
+    data, drawn = view_data(table), motion_samples(table)
     for name in ("base_origin", "base_orientation", "base_velocity"):
         found = unpacked(data["frames"][name])
         np.testing.assert_allclose(found, getattr(drawn, name), atol=1e-6)
@@ -173,9 +173,9 @@ def test_the_page_has_the_base_s_pose_where_it_moves(table, shell):
     data = view_data(shell)
     assert not [name for name in data["frames"] if name.startswith("base_")]
     assert data["energy_label"] == ["energy error", ""]
-    assert len(data["carried"]) == history(shell).masses.size
+    assert len(data["carried"]) == motion_samples(shell).masses.size
     found = unpacked(data["frames"]["carried"])
-    np.testing.assert_allclose(found, history(shell).carried, atol=1e-6)
+    np.testing.assert_allclose(found, motion_samples(shell).carried, atol=1e-6)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
@@ -217,7 +217,7 @@ def test_the_path_is_shown_on_the_base_and_in_fixed_axes(turntable, shell):
     on_base, in_space, *_ = figure_contact_path(turntable).axes
     assert on_base.get_xlabel() == "x of the base [m]"
     assert in_space.get_xlabel() == "x [m]"
-    drawn = history(turntable)
+    drawn = motion_samples(turntable)
     for panel, path in ((on_base, drawn.contact_on_base), (in_space, drawn.contact)):
         (lines,) = panel.collections
         first = np.array([piece[0] for piece in lines.get_segments()])

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from rollkane.pictures.motion_samples import history
+from rollkane.pictures.motion_samples import motion_samples
 from rollkane.pictures.plot_path import draw_path
 from rollkane.pictures.plot_style import limits, new_figure, png
 from rollkane.pictures.plotting import (
@@ -80,7 +80,7 @@ def test_overview_says_where_the_contact_pulls():
 
 
 def test_tilt_is_that_of_the_axis_nearest_to_the_normal():
-    motion = history(rolling_on_plane()).rows(np.arange(5))
+    motion = motion_samples(rolling_on_plane()).rows(np.arange(5))
     half = np.radians([10.0, 50.0, 95.0, 100.0, 170.0]) / 2
     about_y = np.stack([np.cos(half), 0 * half, np.sin(half), 0 * half], axis=1)
     motion = motion._replace(orientation=about_y)
@@ -146,7 +146,7 @@ def test_path_from_above_has_equal_scales(run):
 
 
 def test_small_paths_are_in_millimetres(run):
-    motion = history(run)
+    motion = motion_samples(run)
     small = motion._replace(contact_on_base=1e-2 * motion.contact_on_base)
     panel = new_figure((4.0, 4.0)).add_subplot()
     draw_path(panel, small)

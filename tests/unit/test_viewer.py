@@ -26,7 +26,7 @@ from tests.pictures import (
     rolling_on_sphere,
 )
 
-ASSETS = resources.files("rollkane") / "viewer_assets"
+ASSETS = resources.files("rollkane.pictures") / "viewer_assets"
 OWN_SCRIPTS = ("motion.js", "stage.js", "viewer.js")
 
 

@@ -1,5 +1,5 @@
 /* Cotangents of a motion's states, back along its steps, called from XLA. Before this
- * text: along_steps.h, and generated MOVED (numbers that are asked for, apart from the
+ * text: along_steps.h, and generated VARIED (numbers that are asked for, apart from the
  * state), BETWEEN (steps from one recorded state to the next), STAGES, NUMBERS and
  * BACK_NUMBERS (that prepare and prepare_back leave), and prepare, rates, prepare_back,
  * rates_back, advance, retreat.
@@ -7,16 +7,16 @@
  * From a recorded state the steps to the next are taken again, and their rates kept.
  */
 
-enum { SHARED_AT, KEPT_AT, ASKED_AT, LAST_AT, WAY_AT };
+enum { SHARED_AT, KEPT_AT, COTANGENTS_AT, LAST_AT, WAY_AT };
 
-static void pull(const Way *way, const real *shared, const real *kept, const real *asked,
-                 real *back, real *moved) {
+static void pull(const Way *way, const real *shared, const real *kept, const real *cotangents,
+                 real *back, real *of_varied) {
     real u[NUMBERS + 1], w[BACK_NUMBERS + 1], none[1];
     static _Thread_local real y[BETWEEN][N], k[BETWEEN][STAGES][N];
     long output = 0;
     prepare(shared, NULL, u, none);
     prepare_back(shared, NULL, w, none);
-    memset(moved, 0, MOVED * sizeof(real));
+    memset(of_varied, 0, VARIED * sizeof(real));
     if (way->count) {
         const real end = step_of(way, way->count - 1).following;
         while (output + 1 < way->output_count && way->outputs[output + 1] <= end) output++;
@@ -36,20 +36,20 @@ static void pull(const Way *way, const real *shared, const real *kept, const rea
         for (long i = behind - 1; i >= first; i--) {
             const Step step = step_of(way, i);
             if (output && shows(way, step, output)) {
-                for (int c = 0; c < N; c++) back[c] += asked[output * N + c];
-                do output--; /* of outputs at one time nothing is asked but of the last */
+                for (int c = 0; c < N; c++) back[c] += cotangents[output * N + c];
+                do output--; /* of outputs at one time the last alone has one */
                 while (output && way->outputs[output] == way->outputs[output + 1]);
             }
             retreat(s * step.begin, s * step.end, s * (step.end - step.begin),
-                    y[i - first], k[i - first], shared, w, back, moved);
+                    y[i - first], k[i - first], shared, w, back, of_varied);
         }
         behind = first;
     }
-    /* what is asked of an output that no step ended on is not known */
+    /* that of an output that no step ended on leads nowhere known */
     for (long i = N; i < (output + 1) * N; i++)
-        if (asked[i] != 0) {
+        if (cotangents[i] != 0) {
             for (int c = 0; c < N; c++) back[c] = (real)NAN;
-            for (int c = 0; c < MOVED; c++) moved[c] = (real)NAN;
+            for (int c = 0; c < VARIED; c++) of_varied[c] = (real)NAN;
         }
 }
 
@@ -59,10 +59,10 @@ void *called_by_xla(const CallFrame *frame) {
     if (!received(frame, axes, 1, &call)) return NULL;
     for (long b = 0; b < call.batch; b++) {
         const Way way = way_of(&call, WAY_AT, b);
-        real *back = wanted(&call, 0, b), *moved = wanted(&call, 1, b);
+        real *back = wanted(&call, 0, b), *of_varied = wanted(&call, 1, b);
         memcpy(back, member(&call, LAST_AT, b), N * sizeof(real));
         pull(&way, member(&call, SHARED_AT, b), member(&call, KEPT_AT, b),
-             member(&call, ASKED_AT, b), back, moved);
+             member(&call, COTANGENTS_AT, b), back, of_varied);
     }
     return NULL;
 }

@@ -79,7 +79,7 @@ class TangentLoop:
         self._call = XlaCall(state.dtype, self._lanes, head, parts)
 
     def __call__(
-        self, way: Way, y: Array, y_dot: Array, moved: list[Array]
+        self, way: Way, y: Array, y_dot: Array, tangents: list[Array]
     ) -> tuple[Array, Array]:
         """Changes of the states.
 
@@ -87,7 +87,7 @@ class TangentLoop:
             way: Steps of the motion.
             y: Its first state, shape (n,).
             y_dot: Changes of that, shape (n, P).
-            moved: Changes of what is varied, each with an axis of length P behind.
+            tangents: Changes of what is varied, each with an axis of length P behind.
 
         Returns:
             Changes of the states at the outputs, shape (T, n, P), NaN where no step
@@ -107,7 +107,7 @@ class TangentLoop:
             return x.reshape(*x.shape[:-2], room)[..., :count]
 
         shared = in_one([*self._varied, *self._closed], y.dtype)
-        changes = [x.reshape(-1, count) for x in moved]
+        changes = [x.reshape(-1, count) for x in tangents]
         changes = jnp.concatenate([jnp.zeros((0, count), y.dtype), *changes])
         sizes = (
             (groups, *way.outputs.shape, *y.shape, self._lanes),
@@ -143,21 +143,23 @@ class CotangentLoop:
         self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(
-        self, way: Way, kept: Array, asked: Array, asked_last: Array
+        self, way: Way, kept: Array, cotangents: Array, last_cotangent: Array
     ) -> tuple[Array, list[Array]]:
         """Cotangents of the first state, shape (n,), and of what is varied.
 
         Args:
             way: Steps of the motion.
             kept: Recorded states, shape (m, n).
-            asked: Cotangents of the states at the outputs, shape (T, n).
-            asked_last: Of the last state, shape (n,).
+            cotangents: Cotangents of the states at the outputs, shape (T, n).
+            last_cotangent: Of the last state, shape (n,).
         """
-        shared = in_one([*self._varied, *self._closed], asked.dtype)
+        shared = in_one([*self._varied, *self._closed], cotangents.dtype)
         sizes = [math.prod(x.shape) for x in self._varied]
-        shapes = asked_last.shape, (sum(sizes),)
-        back, moved = self._call(shapes, shared, kept, asked, asked_last, *way)
-        parts = jnp.split(moved, np.cumsum(sizes)[:-1]) if sizes else []
+        shapes = last_cotangent.shape, (sum(sizes),)
+        back, of_varied = self._call(
+            shapes, shared, kept, cotangents, last_cotangent, *way
+        )
+        parts = jnp.split(of_varied, np.cumsum(sizes)[:-1]) if sizes else []
         pairs = zip(parts, self._varied, strict=True)
         return back, [part.reshape(like.shape) for part, like in pairs]
 
@@ -166,6 +168,6 @@ def _sizes(rates: Rates, state: Any) -> dict[str, int]:
     size = lambda arrays: sum(math.prod(x.shape) for x in arrays)
     return {
         "N": state.shape[0],
-        "MOVED": size(rates.varied),
+        "VARIED": size(rates.varied),
         "STAGES": len(rates.weights.rows),
     }

@@ -13,8 +13,8 @@ from .data_movement import as_objects, numbers_of
 from .scalar_program import NotElementwiseError, Program
 from .scalar_source import (
     Functions,
-    Listing,
     Result,
+    Statements,
     array,
     as_functions,
     in_order,
@@ -110,12 +110,12 @@ def lanes_source(
     def written(function, room, ending):
         time = jax.ShapeDtypeStruct((), state.dtype)
         program = Program(function, time, state, *leaves)
-        listing = Listing()
+        statements = Statements()
         values, size = _of_lanes(state, leaves, own, zeros)
         closed, traced = _closed(program, size + room, state.dtype)
-        (numbers,) = program(values, listing.operate, closed)
+        (numbers,) = program(values, statements.operate, closed)
         result = Result("d", numbers, row=True)
-        made = as_functions(listing, stage, [result], ending)
+        made = as_functions(statements, stage, [result], ending)
         return made, traced, numbers.size
 
     made, traced, _ = written(derivative, 0, "")
@@ -165,12 +165,12 @@ def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
     given, size = _given(state, like)
     closed, traced = _closed(program, size, state.dtype)
     rows = array("dy", state.shape, row=True)
-    moved = in_order("moved", like, state.dtype, row=True)
-    listing = Listing()
-    found = program([*given, rows, *moved], listing.operate, closed)
+    tangents = in_order("tangents", like, state.dtype, row=True)
+    statements = Statements()
+    found = program([*given, rows, *tangents], statements.operate, closed)
     stage = "real t, const real *restrict y, const row *restrict dy"
     results = [Result("d", found[0]), Result("dd", found[1], row=True)]
-    return Source(as_functions(listing, stage, results), traced)
+    return Source(as_functions(statements, stage, results), traced)
 
 
 def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
@@ -187,9 +187,9 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
         NotElementwiseError: more than arithmetic on single numbers.
     """
 
-    def pulled(t, y, varied, asked):
+    def pulled(t, y, varied, cotangent):
         along = lambda y, *varied: rates(t, y, *varied)
-        return jax.vjp(along, y, *varied)[1](asked)
+        return jax.vjp(along, y, *varied)[1](cotangent)
 
     time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
     there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
@@ -198,17 +198,17 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
     closed, traced = _closed(there, size, state.dtype)
     size += sum(math.prod(x.shape) for x in traced)
     closed_back, traced_back = _closed(back, size, state.dtype)
-    listing = Listing()
-    found = there(given, listing.operate, closed)
+    statements = Statements()
+    found = there(given, statements.operate, closed)
     stage = "real t, const real *restrict y"
-    functions = as_functions(listing, stage, [Result("d", found[0])])
-    listing = Listing()
-    asked = array("asked", state.shape, row=False)
-    found = back([*given, asked], listing.operate, closed_back)
+    functions = as_functions(statements, stage, [Result("d", found[0])])
+    statements = Statements()
+    cotangent = array("cotangent", state.shape, row=False)
+    found = back([*given, cotangent], statements.operate, closed_back)
     numbers = as_objects([x for part in found[1:] for x in part.reshape(-1)], (-1,))
     results = [Result("g", found[0]), Result("m", numbers, adds=True)]
-    stage = f"{stage}, const real *restrict asked"
-    changes = as_functions(listing, stage, results, "_back")
+    stage = f"{stage}, const real *restrict cotangent"
+    changes = as_functions(statements, stage, results, "_back")
     return Source(functions, [*traced, *traced_back], changes)
 
 

@@ -73,7 +73,7 @@ ONE(atanh, atanh) ONE(cbrt, cbrt) ONE(ceil, ceil) ONE(cos, cos) ONE(cosh, cosh)
 ONE(exp, exp) ONE(exp2, exp2) ONE(expm1, expm1) ONE(floor, floor) ONE(log, log)
 ONE(log1p, log1p) ONE(sin, sin) ONE(sinh, sinh) ONE(sqrt, sqrt) ONE(tan, tan)
 ONE(tanh, tanh) ONE(trunc, trunc) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
-/* Of a table's every so manieth number the one of an index, the nearest if it has none;
+/* Of a table's every n-th number the one of an index, the nearest if it has none;
  * the first if that is not a number. */
 INLINE real lookup_one(const real *table, long stride, long count, real index) {
     const real last = count - 1;

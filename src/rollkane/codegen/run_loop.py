@@ -57,7 +57,7 @@ class Ended(NamedTuple):
         steps: Accepted.
         rejected_steps: The others.
         record: Where steps began, and the last one ended [s], then states where every
-            so manieth step began; any numbers behind. None where they are not wanted.
+            nth step began; any numbers behind. None where they are not wanted.
     """
 
     y: Float[Array, "T-1 n"]

@@ -45,7 +45,7 @@ def push_source(weights: Weights) -> str:
         f"                    row *restrict dy, {FIXED}, {PREPARED}) {{",
         "real k[STAGES][N], z[N];",
         "row dk[STAGES][N], dz[N];",
-        *_advanced(weights, ["", "d"], "moved, u, v"),
+        *_advanced(weights, ["", "d"], "tangents, u, v"),
         "}",
     ]
     return "\n".join(lines)

@@ -66,7 +66,7 @@ class Symbol(NamedTuple):
         return "int" if self.truth else "real"
 
 
-class Listing:
+class Statements:
     """C statements as they come, those of a call apart from those of a stage.
 
     Attributes:
@@ -270,31 +270,31 @@ class Result(NamedTuple):
             yield f"{self.name}[{i}] {'+' if self.adds else ''}= {text};"
 
 
-FIXED = "const real *restrict shared, const row *restrict moved"
+FIXED = "const real *restrict shared, const row *restrict tangents"
 PREPARED = "const real *restrict u, const row *restrict v"
 
 
 def as_functions(
-    listing: Listing, stage: str, results: list[Result], ending: str = ""
+    statements: Statements, stage: str, results: list[Result], ending: str = ""
 ) -> Functions:
     """The two functions; what is fixed goes from one to the other in two arrays."""
-    body = _statements(listing.stage)
+    body = _statements(statements.stage)
     for result in results:
         body += result.statements()
     words = set("".join(c if c.isalnum() else " " for c in "\n".join(body)).split())
-    used = [symbol for symbol, _ in listing.before if symbol.text in words]
+    used = [symbol for symbol, _ in statements.before if symbol.text in words]
     numbers = [x for x in used if not x.row]
     rows = [x for x in used if x.row]
     handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
     handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
     tables = [
         f"static const real {name}[] = {{{values}}};"
-        for values, name in listing.tables.items()
+        for values, name in statements.tables.items()
     ]
     lines = [
         f"static void prepare{ending}({FIXED}, real *restrict u, row *restrict v) {{",
         *tables,
-        *_statements(listing.before),
+        *_statements(statements.before),
         *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
         "}",
         f"static void rates{ending}({stage}, {FIXED}, {PREPARED},",

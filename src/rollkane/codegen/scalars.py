@@ -1,6 +1,6 @@
 """Numbers of a program in C, of the types that they have there, and operations on them.
 
-Whole numbers stay whole here, unlike in the rows of many motions (``listing``).
+Whole numbers stay whole here, unlike in the rows of many motions (``statements``).
 """
 
 from typing import Any, NamedTuple

@@ -1,23 +1,23 @@
 /* Changes of a motion's states along its steps, called from XLA. Before this text:
- * along_steps.h, and generated MOVED (numbers that change, apart from the state), NUMBERS
+ * along_steps.h, and generated VARIED (numbers that change, apart from the state), NUMBERS
  * and ROWS (that prepare leaves for rates), and prepare, rates, advance.
  *
  * A row holds one number for each of LANES changes; where there are more, the motion is
  * gone through again for the next.
  */
 
-enum { SHARED_AT, MOVED_AT, Y_AT, DY_AT, WAY_AT };
+enum { SHARED_AT, TANGENTS_AT, Y_AT, DY_AT, WAY_AT };
 
 static void show(real *shown, long output, const row *dy) {
     memcpy(shown + output * N * LANES, dy, N * sizeof(row));
 }
 
-static void push(const Way *way, const real *shared, const row *moved, real *y, row *dy,
+static void push(const Way *way, const real *shared, const row *tangents, real *y, row *dy,
                  real *shown) {
     real u[NUMBERS + 1];
     row v[ROWS + 1], unreached[N];
     long output = last_of(way, 0) + 1;
-    prepare(shared, moved, u, v);
+    prepare(shared, tangents, u, v);
     show(shown, 0, dy);
     for (int c = 0; c < N; c++) unreached[c] = splat((real)NAN);
     for (long i = 1; i < way->output_count; i++) show(shown, i, unreached);
@@ -25,7 +25,7 @@ static void push(const Way *way, const real *shared, const row *moved, real *y, 
         const Step step = step_of(way, i);
         const real s = way->sense;
         advance(s * step.begin, s * step.end, s * (step.end - step.begin), y, dy, shared,
-                moved, u, v);
+                tangents, u, v);
         if (output < way->output_count && shows(way, step, output)) {
             output = last_of(way, output);
             show(shown, output++, dy);
@@ -43,13 +43,13 @@ void *called_by_xla(const CallFrame *frame) {
         for (long g = 0; g < groups; g++) {
             const Way way = way_of(&call, WAY_AT, b);
             /* XLA's buffers need not begin where rows may */
-            row moved[MOVED + 1], dy[N];
+            row tangents[VARIED + 1], dy[N];
             real y[N];
-            memcpy(moved, member(&call, MOVED_AT, b) + g * MOVED * LANES,
-                   MOVED * sizeof(row));
+            memcpy(tangents, member(&call, TANGENTS_AT, b) + g * VARIED * LANES,
+                   VARIED * sizeof(row));
             memcpy(dy, member(&call, DY_AT, b) + g * N * LANES, sizeof dy);
             memcpy(y, member(&call, Y_AT, b), sizeof y);
-            push(&way, member(&call, SHARED_AT, b), moved, y, dy,
+            push(&way, member(&call, SHARED_AT, b), tangents, y, dy,
                  wanted(&call, 0, b) + g * way.output_count * N * LANES);
             memcpy(wanted(&call, 1, b) + g * N * LANES, dy, sizeof dy);
         }

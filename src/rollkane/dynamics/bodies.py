@@ -146,7 +146,7 @@ def inertia_about(
     Returns:
         Rows of ``I + m (|c|^2 - c c^T)``, row i with i + 1 entries.
 
-    Source: theory, section 4.1 (Th0^M).
+    Source: docs/theory.md, (4.3): the body's part of Th^M.
     """
     weighted = components(mass * arm)
     along = components(arm)

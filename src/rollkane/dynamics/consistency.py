@@ -19,9 +19,10 @@ from .scene import RubberRolling, Scene
 def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
     """The state without what its contact does not allow.
 
-    Where the body carries its contact point, it is turned by the smallest rotation that
-    brings its normal onto the base's; of a slip the part along the normal is left out,
-    and under ``RubberRolling`` the spin about the normal, relative to the base.
+    Where the body has explicit contact coordinates, it is turned by the smallest
+    rotation that brings its normal onto the base's; of a slip the part along the normal
+    is left out, and under ``RubberRolling`` the spin about the normal, relative to the
+    base.
 
     Args:
         scene: What rolls on what.
@@ -32,10 +33,10 @@ def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
         return state
     slides = isinstance(state, SlidingState)
     rubber = isinstance(scene.contact, RubberRolling) and not slides
-    if not (scene.carries_point or rubber or slides):
+    if not (scene.has_contact_coordinates or rubber or slides):
         return state
     contact = contact_of(scene, t, state)
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         body = scene.body.surface
         aligned = contact.orientation
         assert aligned is not None

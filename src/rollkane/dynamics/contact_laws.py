@@ -60,7 +60,7 @@ class Momentum(NamedTuple):
     columns: list[Float[Array, "3"]]
 
     def force(self, solution: Solution) -> Float[Array, "3"]:
-        """Contact force ``Rc = dP/dt - F`` [N] (theory, section 5)."""
+        """Contact force ``Rc = dP/dt - F`` [N], (6.2)."""
         value = self.known + cross(solution.angular_acceleration, self.first_moment)
         for column, rate in zip(
             self.columns, components(solution.alpha_ddot), strict=True
@@ -74,7 +74,7 @@ class Momentum(NamedTuple):
 def momentum_rate(scene: Scene, contact: Contact, system: System) -> Momentum:
     """The rate of the momentum, as far as it is known, and what multiplies the rest.
 
-    Source: theory, section 5.
+    Source: docs/theory.md, (6.2).
     """
     w, c, mass = contact.angular_velocity, system.arm, scene.body.mass
     first = mass * c
@@ -105,8 +105,7 @@ def accelerations(
     Raises:
         FieldError: a law that the contact's coordinates do not have.
 
-    Source: theory, sections 4.1 (rolling), 8.2 (rubber), 8.3 (resistance), 8.4
-    (slipping).
+    Source: docs/theory.md, (4.3), (7.1) to (7.4).
     """
     law = scene.contact
     if isinstance(law, (RubberRolling, Slipping)) and contact.normal_rate is None:
@@ -211,7 +210,7 @@ def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
     """The push of a slip that may only begin, and the slip's turn for one newton.
 
     With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
-    ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (7.5)).
+    ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (8.5)).
     """
     mu, force = friction.coefficient, push.force
     bare, rest = solve_spd(rows, rhs), [*force[:-2], *[jnp.zeros_like(mu)] * 2]

@@ -77,7 +77,7 @@ def _of_surfaces(scene: Scene, state: Any) -> Iterator[tuple[str, str, Callable]
     body, base = scene.body.surface, scene.base.surface
     in_charts = isinstance(state, VoronetsState)
     places = [("scene.base.surface", base, state.contact_on_base)]
-    if scene.carries_point or in_charts:
+    if scene.has_contact_coordinates or in_charts:
         places.append(("scene.body.surface", body, state.contact_on_body))
     for name, surface, u in places:
         found = surface.chart_geometry if in_charts else surface.geometry

@@ -2,7 +2,7 @@
 
 A slip U = r s that begins does not turn: friction would turn it at a rate mu N / r. So
 its friction acts along the direction at which the slip's rate is along the slip, until
-it is fast enough to be followed. Equations: docs/theory.md, (7.4) and (7.5).
+it is fast enough to be followed. Equations: docs/theory.md, (8.4) and (8.5).
 """
 
 from typing import NamedTuple
@@ -84,7 +84,7 @@ def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
 
 
 def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Direction s of a slip that begins: its rate is along itself, (7.5).
+    """Direction s of a slip that begins: its rate is along itself, (8.5).
 
     Friction turns the slip at a rate of the sign of ``s' . (B - M s)``, s' = N x s,
     and so the search does from where the slip began, by Newton where that leads the

@@ -50,7 +50,7 @@ class ViscousFriction(AbstractFriction):
     Attributes:
         coefficient: c [N s/m].
 
-    Source: theory, section 8.4.
+    Source: docs/theory.md, (7.5).
     """
 
     coefficient: Float[Array, ""]
@@ -89,7 +89,7 @@ class CoulombFriction(AbstractFriction):
         regularization: eps [m/s]; below it the friction fades. The equations are stiff
             by mu g / eps [1/s] while it holds the body: for sticking in earnest, roll.
 
-    Source: theory, section 8.4.
+    Source: docs/theory.md, (7.5).
     """
 
     coefficient: Float[Array, ""]

@@ -86,7 +86,7 @@ def nearest_anywhere(
 
     def begun(place):
         on_body = fixed[2].contact_on_body
-        if scene.carries_point:
+        if scene.has_contact_coordinates:
             on_body = body.locate(on_body_axes(*fixed, place))
         return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
 
@@ -197,7 +197,7 @@ def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
             near = moving.to_base(r - origin)
     on_base = base.locate(jnp.asarray(near, r.dtype))
     on_body = jnp.zeros(0, r.dtype)
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         down = -matvec_transposed(R, base.geometry(on_base).frame[:, 2])
         on_body = body.locate(down)
     spin = matvec_transposed(R, w)
@@ -208,7 +208,7 @@ def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
 
 
 def _unknowns(scene: Scene) -> int:
-    return 4 if scene.carries_point else 2
+    return 4 if scene.has_contact_coordinates else 2
 
 
 def _none(scene: Scene, state: FlyingState) -> Array:
@@ -239,7 +239,7 @@ def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
     on_base, on_body = state.contact_on_base, state.contact_on_body
     ground = base.geometry(on_base)
     on_base = on_base + base.coordinate_rates(on_base, ground, x[:2])
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         shell = body.geometry(on_body)
         on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
     places = base.settled(on_base), body.settled(on_body)
@@ -269,7 +269,7 @@ def _points(scene: Scene, state: FlyingState, to_base):
     """The base at its nearest point, and the body's nearest point [m], body axes."""
     base, body = scene.base.surface, scene.body.surface
     ground = base.geometry(state.contact_on_base)
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         return ground, body.point(state.contact_on_body)
     of_normal = body.normal_map(base.is_flat)
     assert of_normal is not None
@@ -283,7 +283,7 @@ def _apart(scene: Scene, t, state: FlyingState, x):
     ground, point = _points(scene, state, to_base)
     first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
     aligned = []
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         shell = scene.body.surface.geometry(state.contact_on_body)
         normal = matvec(to_base, shell.frame[:, 2])
         aligned = [dot(normal, first), dot(normal, second)]

@@ -3,8 +3,8 @@
 Routh's process: the velocity of the point that touches follows the impulse, friction
 acts against the slip of that instant, and the restitution of the energy that
 compression took ends it (Stronge). So the impulse pushes, lies in the friction cone,
-and its work is never positive, whatever the body. Equations: docs/theory.md, (7.6) to
-(7.10).
+and its work is never positive, whatever the body. Equations: docs/theory.md, (8.6) to
+(8.10).
 """
 
 from typing import NamedTuple

@@ -69,7 +69,7 @@ def impact(
             its friction, or add energy.
         happens: Whether it does: in a batch others wait for what is integrated.
 
-    Source: docs/theory.md, (7.6) to (7.11).
+    Source: docs/theory.md, (8.6) to (8.11).
     """
     touching = SlidingState(**shared_parts(state), slip=jnp.zeros_like(state.velocity))
     contact = contact_of(scene, t, touching)

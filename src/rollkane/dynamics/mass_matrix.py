@@ -1,7 +1,7 @@
 """The linear system of the accelerations: mass matrix and right-hand side.
 
-Angular acceleration and alpha'' on body axes, about the contact point (theory, section
-4.1).
+Angular acceleration and alpha'' on body axes, about the contact point (docs/theory.md,
+(4.3)).
 """
 
 from collections.abc import Iterator, Sequence
@@ -67,7 +67,7 @@ def assemble(
 ) -> System:
     """Mass matrix and right-hand side of a scene.
 
-    Source: theory, section 4.1.
+    Source: docs/theory.md, (4.2), (4.3).
     """
     body, w = scene.body, contact.angular_velocity
     c = body.center_of_mass - contact.body_point
@@ -125,7 +125,7 @@ def generalized_force(
 
 
 def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
-    """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**`` (theory 4.1)."""
+    """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**``, (4.2)."""
     w = contact.angular_velocity
     s = part.place - contact.body_point[:, None]
     coriolis = cross(w, cross(w, s) + 2.0 * part.velocity)

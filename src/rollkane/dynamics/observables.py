@@ -64,7 +64,7 @@ def _moving(scene: Scene, t, state, contact: Contact) -> Iterator[_Moving]:
 def kinetic_energy(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, ""]:
-    """Kinetic energy of the body and of all that it carries [J] (theory 3)."""
+    """Kinetic energy of the body and of all that it carries [J], (6.1)."""
     contact = contact_of(scene, t, state)
     energy = jnp.zeros_like(contact.angular_velocity[0])
     for mass, _, v, _, own in _moving(scene, t, state, contact):
@@ -96,7 +96,7 @@ def energy(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "
 
 
 def momentum(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "3"]:
-    """``P``, momentum of the whole system [kg m/s], FIXED axes (theory 3)."""
+    """``P``, momentum of the whole system [kg m/s], FIXED axes, (6.1)."""
     contact = contact_of(scene, t, state)
     return matvec(contact.rotation, _momentum(scene, t, state, contact))
 
@@ -113,7 +113,8 @@ def contact_angular_momentum(
 ) -> Float[Array, "3"]:
     """``K^M``, about the contact point, in absolute motion [kg m^2/s], FIXED axes.
 
-    Source: theory, section 3; [A], last formula: it is m', the gradient of Theta'.
+    Source: docs/theory.md, (6.1), about M; [A], last formula: it is m', the gradient
+    of Theta'.
     """
     contact = contact_of(scene, t, state)
     parts = []
@@ -163,7 +164,7 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
     the body (potentials excepted) theirs, and prescribed motions whatever they need. It
     is the rate of :func:`energy` exactly.
 
-    Source: theory, section 5 (power).
+    Source: docs/theory.md, (6.3).
     """
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)

@@ -82,7 +82,7 @@ def place(
             pull the body off its base: the outward side of a surface may be the wrong
             one.
 
-    Source: theory, section 7, ``n_body = -R^T n_base``.
+    Source: docs/theory.md, (1.4), ``n_body = -R^T n_base``.
     """
     dtype = scene.body.mass.dtype
     meanings = {
@@ -295,7 +295,7 @@ def _fit(scene: Scene, asked: dict[str, Any], loose: float, time) -> _Fit:
 def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
     """How two touching surfaces part: least opening, and relative curvature.
 
-    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]`` (theory 8.1), lengths in radii of
+    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]``, (3.5), lengths in radii of
     the sharper surface, are scaled to unit length, so that edges and planes, large and
     small bodies count alike; the determinant vanishes exactly where the surfaces fit.
     The opening of a motion with equal travels ``L_b x_b = T L_c x_c`` is

@@ -85,7 +85,7 @@ class RollingResistance(_Resistance):
         dry: f [m].
         regularization: [rad/s].
 
-    Source: theory, section 8.3.
+    Source: docs/theory.md, (7.6).
     """
 
     def resisted(self, contact):
@@ -102,7 +102,7 @@ class SpinningResistance(_Resistance):
         dry: f [m].
         regularization: [rad/s].
 
-    Source: theory, section 8.3.
+    Source: docs/theory.md, (7.6).
     """
 
     def resisted(self, contact):

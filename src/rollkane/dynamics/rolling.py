@@ -1,7 +1,7 @@
 """Rolling without slipping: the formulation that `simulate` uses.
 
 One symmetric positive definite system per evaluation for angular acceleration and
-alpha'', on body axes, about the contact point (theory, section 4.1).
+alpha'', on body axes, about the contact point (docs/theory.md, (4.3)).
 """
 
 import jax.numpy as jnp
@@ -103,7 +103,7 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
     Returns:
         Rates of every number of the state [its unit / s], as a state.
 
-    Source: theory, section 4.1. Sign: the normal points out of each surface.
+    Source: docs/theory.md, (4.3). Sign: the normal points out of each surface.
     """
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
@@ -140,7 +140,7 @@ def contact_force(
 ) -> Float[Array, "3"]:
     """Force of the base on the body [N], FIXED axes, shape (3,).
 
-    Source: theory, section 5, ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
+    Source: docs/theory.md, (6.2), ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
     dr_i/dalpha alpha'' + beta_i``.
     """
     return _solved(scene, t, state)[2]
@@ -177,7 +177,7 @@ def painleve_margin(
     Where it is not positive no normal force fits the friction (Painleve's paradox):
     rates are NaN there, and a run ends just before.
 
-    Source: theory, section 8.4.
+    Source: docs/theory.md, (7.4).
     """
     _, solution, force = _solved(scene, t, state)
     margin = solution.margin

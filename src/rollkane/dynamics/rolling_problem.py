@@ -106,7 +106,7 @@ def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
     of = lambda surface: surface.chart_extent if in_charts else surface.extent
     contact = contact_of(scene, t, state)
     places = [(of(base), state.contact_on_base, contact.base_rates)]
-    if scene.carries_point or in_charts:
+    if scene.has_contact_coordinates or in_charts:
         places.append((of(body), state.contact_on_body, contact.body_rates))
     found = jnp.asarray(False)
     for extent, u, rates in places:

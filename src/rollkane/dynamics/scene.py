@@ -17,7 +17,8 @@ from .supported import AbstractSupported
 class Rolling(eqx.Module):
     """Contact law: rolling without slipping, turning about the normal allowed.
 
-    Bilateral: a motion that pulls runs on, and the result says when that began.
+    Bilateral: a run goes on where the contact force is tensile, and the result says
+    when that began.
     """
 
     @property
@@ -39,7 +40,7 @@ class RubberRolling(Rolling):
 
     Relative to the base; a spin about the normal in a start is left out.
 
-    Source: theory, section 8.2.
+    Source: docs/theory.md, (7.3).
     """
 
 
@@ -52,7 +53,7 @@ class Slipping(eqx.Module):
     Attributes:
         friction: ``ViscousFriction``, ``CoulombFriction`` or ``StribeckFriction``.
 
-    Source: theory, section 8.4.
+    Source: docs/theory.md, (7.1), (7.2).
     """
 
     friction: AbstractFriction
@@ -143,8 +144,8 @@ class Scene(eqx.Module):
             coordinates in alpha.
         loads: What acts on it and on what it carries.
         contact: The contact law.
-        carries_point: Whether the state holds the contact point on the body; False
-            where it follows from the normal.
+        has_contact_coordinates: Whether the state holds the contact point on the body;
+            False where it follows from the normal.
     """
 
     body: Body
@@ -152,7 +153,7 @@ class Scene(eqx.Module):
     supported: tuple[AbstractSupported, ...]
     loads: tuple[AbstractLoad, ...]
     contact: Rolling | Slipping | Flying
-    carries_point: bool = eqx.field(static=True)
+    has_contact_coordinates: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -200,7 +201,9 @@ class Scene(eqx.Module):
             _require(f"Scene.supported[{i}]", part, AbstractSupported, remedy)
         self.body, self.base, self.contact = body, base, contact
         self.loads, self.supported = tuple(loads), tuple(supported)
-        self.carries_point = body.surface.normal_map(base.surface.is_flat) is None
+        self.has_contact_coordinates = (
+            body.surface.normal_map(base.surface.is_flat) is None
+        )
 
     @property
     def coordinate_count(self) -> int:

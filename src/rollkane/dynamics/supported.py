@@ -58,7 +58,7 @@ class Carried(eqx.Module):
             where the motion is prescribed.
         turning: Rotation of a rigid body (then k = 1); None for point masses.
 
-    Source: theory, section 4.1.
+    Source: docs/theory.md, (4.2).
     """
 
     mass: Float[Array, " k"]
@@ -202,7 +202,7 @@ class SupportedBody(_Driven):
         potential: The user's potential energy, or None.
         count: Number of coordinates n.
 
-    Source: theory, section 4.2, for positions and rotations that may both depend on
+    Source: docs/theory.md, (4.4), for positions and rotations that may both depend on
     every coordinate.
     """
 

@@ -1,9 +1,9 @@
 """One point of one surface as a value: the place where surfaces are differentiated.
 
 A :class:`LocalGeometry` is made once per evaluation, by one of the three builders
-below, and carried on; no later room differentiates a surface again. Lengths ``L`` and
+below, and carried on; no later module differentiates a surface again. Lengths ``L`` and
 frame rates ``W`` are kept instead of the fundamental forms, so that a sharp edge
-(singular ``L``) is an ordinary value (theory, section 8.1).
+(singular ``L``) is an ordinary value (docs/theory.md, (2.3)).
 """
 
 from collections.abc import Callable
@@ -33,7 +33,7 @@ class LocalGeometry(eqx.Module):
         spin_rates: ``gam`` [1 per coordinate unit], shape (2,): rotation of (e1, e2)
             about e3, ``gam_a = e2 . d_a e1``; None where any tangent pair serves.
 
-    Source: theory, sections 6 and 8.1.
+    Source: docs/theory.md, (2.1) to (2.4).
     """
 
     position: Float[Array, "3"]
@@ -56,7 +56,7 @@ class LocalGeometry(eqx.Module):
     def second_form(self) -> Float[Array, "2 2"]:
         """Second form ``b = L^T W`` [m per unit^2], shape (2, 2).
 
-        Sign: ``b_ab = position_ab . e3`` with e3 out of the material (theory 1).
+        Sign: ``b_ab = position_ab . e3`` with e3 out of the material.
         """
         return self.lengths.T @ self.frame_rates
 
@@ -126,7 +126,8 @@ def from_chart(
         orientation: +1 where d1 x d2 points out of the material, else -1.
         spin: Whether ``spin_rates`` are wanted.
 
-    Source: theory, section 6: Gram-Schmidt frame, L upper triangular, W = L^-T b.
+    Source: docs/theory.md, (2.1), (2.2): Gram-Schmidt frame, L upper triangular,
+    W = L^-T b.
     """
     along_1, along_2 = jnp.eye(2, dtype=q.dtype)
 
@@ -218,7 +219,7 @@ def from_normal(
     normal: Float[Array, "3"],
     pair: tuple[Float[Array, "3"], Float[Array, "3"]] | None = None,
 ) -> LocalGeometry:
-    """Geometry of a surface that is given by its normal; edges included.
+    """Geometry of a surface parametrized by its normal; edges included.
 
     The local coordinates are the turns of the normal along e1 and e2, so
     ``W = -identity`` and ``L`` holds the radii of curvature (zero across an edge).
@@ -250,7 +251,7 @@ def from_level_set(
 
     The local coordinates are lengths along e1 and e2, so ``L = identity``.
 
-    Source: theory, section 7.
+    Source: docs/theory.md, (2.4).
     """
 
     def gradient(p):

@@ -20,7 +20,7 @@ def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
     Returns:
         ``R_NB`` with ``v_fixed = R_NB v_body`` [1].
 
-    Source: theory, section 1 (pose map), in the homogeneous form s = 2/|q|^2.
+    Source: docs/theory.md, (1.4).
     """
     a, b, c, d = components(quaternion)
     s = 2.0 / (a * a + b * b + c * c + d * d)
@@ -74,7 +74,7 @@ def quaternion_rates(
         quaternion: Scalar first, body to fixed [1].
         angular_velocity: On BODY axes [rad/s].
 
-    Source: theory, section 8a: quat' = 1/2 quat (x) (0, w).
+    Source: docs/theory.md, (4.5).
     """
     a, b, c, d = components(quaternion)
     x, y, z = components(0.5 * angular_velocity)

@@ -4,7 +4,7 @@ A value that is positive at both ends of a step may still dip below zero between
 Here it is bounded from below by the cubic through its values at the ends and beside
 them, less the largest deviation that is seen inside; where the bound is negative the
 step is cut at its lowest place, and is then looked at again, in halves whose bound is
-sixteen times closer. Equations: docs/theory.md, (7.1) to (7.3).
+sixteen times closer. Equations: docs/theory.md, (8.1) to (8.3).
 """
 
 from typing import NamedTuple

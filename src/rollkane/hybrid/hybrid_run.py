@@ -162,24 +162,30 @@ class _Runs(NamedTuple):
         """Tangents, of recorded steps."""
         del once
 
-        def moved(varied, record, tangents):
+        def pushed(varied, record, tangents):
             outputs = lambda varied: _floats(self.repeated(inputs_of(varied), record))
             return jax.jvp(outputs, (varied,), (tangents,))[1]
 
-        one = lambda tangents: in_one_program_or_not(moved, varied, record, tangents)
+        one = lambda tangents: in_one_program_or_not(pushed, varied, record, tangents)
         return jax.vmap(one)(tangents)
 
-    def pull(self, inputs_of: Callable, varied, record, asked, once) -> list[Array]:
+    def pull(
+        self, inputs_of: Callable, varied, record, cotangents, once
+    ) -> list[Array]:
         """Cotangents, of recorded steps."""
         del once
 
-        def pulled(varied, record, asked):
+        def pulled(varied, record, cotangents):
             make = lambda varied: self.made(inputs_of(varied))
-            return pulled_back(make, varied, jnp.asarray(self.mode), record, asked)
+            return pulled_back(make, varied, jnp.asarray(self.mode), record, cotangents)
 
-        asked = (asked.state, None, asked.switches), asked.final_time, asked.final_state
+        cotangents = (
+            (cotangents.state, None, cotangents.switches),
+            cotangents.final_time,
+            cotangents.final_state,
+        )
         call = in_one_program_or_not if self.native else _called
-        return call(pulled, varied, record, asked)
+        return call(pulled, varied, record, cotangents)
 
 
 def _called(function: Callable, *arguments: Any) -> Any:

@@ -18,7 +18,7 @@ from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed, pla
 from .transitions import Seen
 
 
-def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTree:
+def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyTree:
     """Cotangents of a run's inputs: its steps backwards, each from where it began.
 
     Args:
@@ -26,12 +26,12 @@ def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTre
         varied: Tree of floats.
         mode: At the first time.
         record: Of the accepted steps.
-        asked_of: Cotangents of path, time and state, as ``mode_replay.replayed`` gives
-            them; those of integers are not looked at.
+        cotangents: Of path, time and state, as ``mode_replay.replayed`` gives them;
+            those of integers are not looked at.
     """
-    (saved, _, switches), t, last = asked_of
+    (saved, _, switches), t, last = cotangents
 
-    def asked_by(row, number):
+    def of_shown(row, number):
         """What outputs and switches ask of the end of a step."""
         output, event = row[OUTPUT].astype(int), row[KIND] >= 0
         part = lambda where, array, i: jnp.where(where, array[i], 0.0)
@@ -42,18 +42,21 @@ def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTre
         return time, jax.tree.map(jnp.add, y, changed), direction
 
     def one(carry):
-        i, number, asked, moved = carry
+        i, number, cotangent, of_varied = carry
         place = jax.tree.map(lambda x: x[i], record.kept)
         number = number - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
         row, turn = record.step(i, number)
-        asked = list(asked), list(asked_by(row, number))
-        own, asked = _through_step(make, varied, place, row, turn, asked)
-        return i - 1, number, asked, jax.tree.map(jnp.add, moved, own)
+        cotangent = list(cotangent), list(of_shown(row, number))
+        own, cotangent = _through_step(make, varied, place, row, turn, cotangent)
+        return i - 1, number, cotangent, jax.tree.map(jnp.add, of_varied, own)
 
-    asked, none = (t, last.parts, last.direction), jax.tree.map(jnp.zeros_like, varied)
+    cotangent, none = (
+        (t, last.parts, last.direction),
+        jax.tree.map(jnp.zeros_like, varied),
+    )
     events = jnp.sum(record.steps[:, KIND] >= 0)
-    carry = record.count - 1, events, asked, none
-    *_, asked, moved = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+    carry = record.count - 1, events, cotangent, none
+    *_, cotangent, of_varied = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
 
     def start(varied):
         motion, y, times = make(varied)
@@ -61,12 +64,12 @@ def pulled_back(make: Callable, varied, mode, record: Record, asked_of) -> PyTre
         return place.t, place.y, place.direction
 
     first = jax.tree.map(lambda x: x[0], (saved.parts, saved.direction))
-    asked = asked[0], *jax.tree.map(jnp.add, asked[1:], first)
-    (own,) = jax.vjp(start, varied)[1](asked)
-    return jax.tree.map(jnp.add, moved, own)
+    cotangent = cotangent[0], *jax.tree.map(jnp.add, cotangent[1:], first)
+    (own,) = jax.vjp(start, varied)[1](cotangent)
+    return jax.tree.map(jnp.add, of_varied, own)
 
 
-def _through_step(make: Callable, varied, place: Place, row, turn, asked):
+def _through_step(make: Callable, varied, place: Place, row, turn, cotangent):
     """Cotangents of the inputs, and of time, state and direction before a step.
 
     Args:
@@ -75,8 +78,8 @@ def _through_step(make: Callable, varied, place: Place, row, turn, asked):
         place: Where the step began.
         row: Of the record.
         turn: What was recorded of its event.
-        asked: Cotangents of time, state and direction where the next step begins, and
-            of those that are shown.
+        cotangent: Of time, state and direction where the next step begins, and of those
+            that are shown.
     """
     motion, _, times = make(varied)
     ends = landed(times, row)
@@ -91,11 +94,11 @@ def _through_step(make: Callable, varied, place: Place, row, turn, asked):
         return [[p.t, p.y, p.direction] for p in both]
 
     _, pull = jax.vjp(after, varied, direction, end, last)
-    own, of_direction, of_end, of_last = pull(list(asked))
+    own, of_direction, of_end, of_last = pull(list(cotangent))
     stages = _Stages(make, varied, place, ends, known)
-    moved, of_place, of_ends = stages.pulled(of_end, of_last)
+    of_varied, of_place, of_ends = stages.pulled(of_end, of_last)
     _, pull = jax.vjp(lambda varied: landed(make(varied)[2], row), varied)
-    total = jax.tree.map(lambda *x: sum(x), own, moved, *pull(of_ends))
+    total = jax.tree.map(lambda *x: sum(x), own, of_varied, *pull(of_ends))
     of_t, of_y, more = of_place
     return total, (of_t, unpack(of_y, y), of_direction + more)
 
@@ -112,7 +115,7 @@ def _chosen_forwards(perturbed, operands, where, then, other):
 
 
 @_chosen.def_bwd
-def _chosen_backwards(residuals, asked, perturbed, operands, where, then, other):
+def _chosen_backwards(residuals, cotangent, perturbed, operands, where, then, other):
     del residuals, perturbed
     moving, fixed = eqx.partition(operands, eqx.is_inexact_array)
 
@@ -120,7 +123,7 @@ def _chosen_backwards(residuals, asked, perturbed, operands, where, then, other)
         outputs = lambda moving: eqx.filter(
             branch(*eqx.combine(moving, fixed)), eqx.is_inexact_array
         )
-        return lambda: jax.vjp(outputs, moving)[1](asked)[0]
+        return lambda: jax.vjp(outputs, moving)[1](cotangent)[0]
 
     return jax.lax.cond(where, pulled(then), pulled(other))
 
@@ -165,8 +168,10 @@ class _Stages(NamedTuple):
             way = matvec(self.known.T, weights)
             time = jnp.where(i == last, self.ends, t + node * h)
             at_end = lambda x: jnp.where(i == last, x, 0.0)
-            asked = of_rates[i], jax.tree.map(at_end, of_last)
-            own, turned, of_time, of_at = self._through(time, start + h * way, asked)
+            cotangent = of_rates[i], jax.tree.map(at_end, of_last)
+            own, turned, of_time, of_at = self._through(
+                time, start + h * way, cotangent
+            )
             of_at = of_at + at_end(of_end)
             of_h = dot(of_at, way) + node * of_time
             begin = of_t + of_time - of_h, of_start + of_at, of_direction + turned
@@ -181,7 +186,7 @@ class _Stages(NamedTuple):
         *_, total, begin, of_ends = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
         return total, begin, of_ends
 
-    def _through(self, time, at, asked):
+    def _through(self, time, at, cotangent):
         """Cotangents of inputs, direction, time and state of one stage."""
         y, mode = self.place.y, self.place.mode
 
@@ -191,7 +196,7 @@ class _Stages(NamedTuple):
                 rates, seen = motion.by_mode[number](direction, time, unpack(at, y))
                 return pack(rates), seen
 
-            return lambda asked, *where: jax.vjp(seen, *where)[1](asked)
+            return lambda cotangent, *where: jax.vjp(seen, *where)[1](cotangent)
 
         where = self.varied, self.place.direction, time, at
-        return jax.lax.switch(mode, [pulled_in(i) for i in range(3)], asked, *where)
+        return jax.lax.switch(mode, [pulled_in(i) for i in range(3)], cotangent, *where)

@@ -182,7 +182,7 @@ class Motion(eqx.Module):
         return of(rates), _nothing_seen(direction, t)
 
     def _grip(self, press, pull):
-        """What friction spares [N], (7.1): ``(m^2 - |T|^2) / sqrt(m^2 + |T|^2)``.
+        """What friction spares [N], (8.1): ``(m^2 - |T|^2) / sqrt(m^2 + |T|^2)``.
 
         With ``m = mu_s N``. Smooth where nothing pulls along the surface, unlike
         ``mu_s N - |T|``. A contact that may pull is held by friction as one that
@@ -291,7 +291,7 @@ class Motion(eqx.Module):
 
         Of a slip U = r s with r -> 0, what is across s ends by friction that turns and
         the normal force that goes along: ``J = P (n - mu s) - q s'``, so that neither
-        the normal velocity nor a part along s' = N x s is left (docs/theory.md, (7.4)).
+        the normal velocity nor a part along s' = N x s is left (docs/theory.md, (8.4)).
 
         Args:
             s: Its direction, fixed axes [1].

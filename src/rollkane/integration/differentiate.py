@@ -129,12 +129,12 @@ class _Known(NamedTuple):
         def inputs_of(varied):
             varied = iter(varied)
             mixed = [
-                next(varied) if moved else value
-                for value, moved in zip(values, self.moves, strict=True)
+                next(varied) if varies else value
+                for value, varies in zip(values, self.moves, strict=True)
             ]
             return self.inputs_of(mixed)
 
-        varied = [v for v, moved in zip(values, self.moves, strict=True) if moved]
+        varied = [v for v, varies in zip(values, self.moves, strict=True) if varies]
         return inputs_of, varied, record, unreached
 
 
@@ -159,37 +159,40 @@ class _Replay(NamedTuple):
         """Along tangents with an axis in front."""
         assert self.push is not None
         inputs_of, varied, record, unreached = self.known.read(residuals)
-        moved = self.push(inputs_of, varied, record, list(tangents), self.once)
+        tangents_out = self.push(inputs_of, varied, record, list(tangents), self.once)
         return [
             jnp.where(u[None], jnp.nan, m)
-            for u, m in zip(unreached, moved, strict=True)
+            for u, m in zip(unreached, tangents_out, strict=True)
         ]
 
     def forward(self, residuals, tangents) -> list[Array]:
         if self.push is not None:
             one = self.forward_many(residuals, [t[None] for t in tangents])
-            return [moved[0] for moved in one]
+            return [tangents_out[0] for tangents_out in one]
         inputs_of, varied, record, unreached = self.known.read(residuals)
         outputs_of = self._outputs(inputs_of, record, dfx.ForwardMode())
-        moved = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
-        return [jnp.where(u, jnp.nan, m) for u, m in zip(unreached, moved, strict=True)]
+        tangents_out = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
+        return [
+            jnp.where(u, jnp.nan, m)
+            for u, m in zip(unreached, tangents_out, strict=True)
+        ]
 
     def backward(self, residuals, cotangents) -> list[Array]:
         inputs_of, varied, record, unreached = self.known.read(residuals)
         # whoever asks for what was not reached gets NaN; who does not, loses nothing
-        asked = jnp.zeros((), bool)
+        misses = jnp.zeros((), bool)
         known = []
         for missing, cotangent in zip(unreached, cotangents, strict=True):
-            asked |= jnp.any(missing & (cotangent != 0))
+            misses |= jnp.any(missing & (cotangent != 0))
             known.append(jnp.where(missing, 0.0, cotangent))
         if self.pull is None:
             adjoint = dfx.RecursiveCheckpointAdjoint(checkpoints=self.checkpoints)
             outputs_of = self._outputs(inputs_of, record, adjoint)
-            moved = jax.vjp(outputs_of, varied)[1](known)[0]
+            pulled = jax.vjp(outputs_of, varied)[1](known)[0]
         else:
             tree = jax.tree.unflatten(self.known.outputs, known)
-            moved = self.pull(inputs_of, varied, record, tree, self.once)
-        return [jnp.where(asked, jnp.nan, m) for m in moved]
+            pulled = self.pull(inputs_of, varied, record, tree, self.once)
+        return [jnp.where(misses, jnp.nan, m) for m in pulled]
 
     def _outputs(self, inputs_of, record, adjoint) -> Callable:
         def outputs_of(varied):

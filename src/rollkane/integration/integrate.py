@@ -25,7 +25,7 @@ from ..validation.checks import FieldError, cleared, is_traced, real, whole
 from ..validation.codes import NO_FAULT, Code, first_fault
 from . import replay
 from .differentiate import differentiable
-from .projection import BroughtBack
+from .projection import Projected
 from .replay import Run, Steps
 from .solve import Plan, Problem, Solution, landings_of, plain, solve
 from .step_control import Stops, of_times, stops_of
@@ -134,7 +134,7 @@ def integrate(
 def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
-    if isinstance(plan.solver, BroughtBack):
+    if isinstance(plan.solver, Projected):
         plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
 
     @jax.jit  # traced once, however often the integrator evaluates it
@@ -235,9 +235,9 @@ def _by_steps(plan: Plan, rates) -> tuple[Callable, Callable]:
         time = jnp.zeros(y.shape[:2], y.dtype)
         return [time, y, time[:, 0], final_y]  # as in Solution
 
-    def pull(inputs_of, varied, record, asked, once):
+    def pull(inputs_of, varied, record, cotangents, once):
         run, steps = run_of(inputs_of, varied, record)
-        return replay.pull(run, steps, asked.y, asked.final_y, once)
+        return replay.pull(run, steps, cotangents.y, cotangents.final_y, once)
 
     return push, pull
 

@@ -1,4 +1,4 @@
-"""Steps that are brought back onto what the motion keeps."""
+"""Steps projected onto the invariants of a motion."""
 
 import dataclasses
 import functools
@@ -17,7 +17,7 @@ from ..validation.checks import FieldError
 
 
 class _Corrected(dfx.AbstractLocalInterpolation):
-    """A solver's interpolation, which ends where the step was brought back to."""
+    """A solver's interpolation, which ends where the step was projected to."""
 
     kind: Callable = eqx.field(static=True)
     dense: Any
@@ -35,8 +35,8 @@ class _Corrected(dfx.AbstractLocalInterpolation):
         return inner.evaluate(t0, left=left) + share * self.change
 
 
-class BroughtBack(dfx.AbstractWrappedSolver):
-    """A solver whose every step is brought back onto something.
+class Projected(dfx.AbstractWrappedSolver):
+    """A solver whose every step is projected onto a manifold.
 
     Attributes:
         solver: A diffrax solver.
@@ -53,7 +53,7 @@ class BroughtBack(dfx.AbstractWrappedSolver):
 
     @property
     def interpolation_cls(self):
-        """That of the solver, and what was brought back."""
+        """That of the solver, and what was projected."""
         return functools.partial(_Corrected, self.solver.interpolation_cls)
 
     @property
@@ -87,7 +87,7 @@ class BroughtBack(dfx.AbstractWrappedSolver):
         return self.solver.func(terms, t0, y0, args)
 
     def advanced(self, terms, t0, t1, y0, args, memory, keep: Callable):
-        """A step of the solver, its end brought back by a function of the state."""
+        """A step of the solver, its end projected by a function of the state."""
         # rates that the solver remembers from its own end would be slightly others
         made_jump = True
         stepped = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
@@ -95,12 +95,12 @@ class BroughtBack(dfx.AbstractWrappedSolver):
         kept = pack(keep(unpack(y1, self.like)))
         return kept, error, {"dense": dense, "change": kept - y1}, memory, result
 
-    def of(self, like: Any) -> "BroughtBack":
+    def of(self, like: Any) -> "Projected":
         """For states of known sizes."""
         return dataclasses.replace(self, like=like)
 
 
-class Keeping(BroughtBack):
+class Keeping(Projected):
     """A solver whose every step ends on the integrals of the motion.
 
     For long runs and for motions next to a separatrix, where the rounding of one step
@@ -121,12 +121,12 @@ class Keeping(BroughtBack):
         self.solver, self.keep, self.like = solver, keep, like
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """A step of the solver, brought back."""
+        """A step of the solver, projected."""
         del made_jump
         return self.advanced(terms, t0, t1, y0, args, solver_state, self.keep)
 
 
-class KeepingEnergy(BroughtBack):
+class KeepingEnergy(Projected):
     """A solver whose every step ends on the energy with which its run began.
 
     The energy is that of the scene which is run, at its own first state.
@@ -142,7 +142,7 @@ class KeepingEnergy(BroughtBack):
         return memory, energy(args, t0, unpack(y0, self.like))
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        """A step of the solver, brought back by scaling the angular velocity."""
+        """A step of the solver, projected by scaling the angular velocity."""
         del made_jump
         memory, wanted = solver_state
         keep = functools.partial(_with_energy, args, t1, wanted)

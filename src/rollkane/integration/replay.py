@@ -175,8 +175,8 @@ def push(
         return loop(steps.way, *state, tangents)
 
     def field(t, state):
-        primals, moved = [state[0], *run.varied], [state[1], *tangents]
-        return _pushed(lambda y, *varied: run.rates(t, y, *varied), primals, moved)
+        primals, dots = [state[0], *run.varied], [state[1], *tangents]
+        return _pushed(lambda y, *varied: run.rates(t, y, *varied), primals, dots)
 
     def one(i, carry):
         output, state, shown = carry
@@ -207,7 +207,7 @@ def _in_c(kind: Callable, run: Run, *like: Any) -> Any:
 
 def _pushed(function: Callable, primals: list[Array], tangents: list[Array]) -> Any:
     """A function's value, and its changes along tangents with an axis behind."""
-    one = lambda moved: jax.jvp(function, primals, moved)
+    one = lambda dots: jax.jvp(function, primals, dots)
     return jax.vmap(one, in_axes=-1, out_axes=(None, -1))(tangents)
 
 
@@ -227,8 +227,8 @@ def _rates(field: Callable, stages: _Stages, state: Any) -> Any:
 
     def stage(m, rates):
         row = stages.weights[m]
-        moved = jax.tree.map(lambda y, k: y + _mixed(row, k), state, rates)
-        found = field(stages.times[m], moved)
+        dots = jax.tree.map(lambda y, k: y + _mixed(row, k), state, rates)
+        found = field(stages.times[m], dots)
         return jax.tree.map(lambda k, f: k.at[m].set(f), rates, found)
 
     empty = lambda y: jnp.zeros((count, *y.shape), y.dtype)
@@ -242,29 +242,29 @@ def _mixed(weights: Float[Array, " s"], rates: Array) -> Array:
 
 
 def pull(
-    run: Run, steps: Steps, asked: Array, asked_last: Array, once: bool = True
+    run: Run, steps: Steps, cotangents: Array, last_cotangent: Array, once: bool = True
 ) -> list[Array]:
     """Cotangents of what is varied.
 
     Args:
         run: What is differentiated.
         steps: That it took.
-        asked: Cotangents of the states at the outputs, shape (T, n).
-        asked_last: Of the last state, shape (n,).
+        cotangents: Cotangents of the states at the outputs, shape (T, n).
+        last_cotangent: Of the last state, shape (n,).
         once: Whether they are not differentiated again.
 
     Returns:
-        A cotangent for each of what is varied; NaN if one is asked of an output on
+        A cotangent for each of what is varied; NaN if one is cotangents of an output on
         which no step ended.
     """
-    if once and (loop := _in_c(CotangentLoop, run, asked_last, STEPS_BETWEEN)):
-        back, moved = loop(steps.way, steps.kept, asked, asked_last)
+    if once and (loop := _in_c(CotangentLoop, run, last_cotangent, STEPS_BETWEEN)):
+        back, of_varied = loop(steps.way, steps.kept, cotangents, last_cotangent)
     else:
         # recorded states do not move with what is varied, as a second derivative asks
         steps = steps if once else steps._replace(kept=_taken_again(run, steps))
-        back, moved = _pulled(run, steps, asked, asked_last)
-    own = jax.vjp(run.start, *run.varied)[1](back + asked[0])
-    return [a + b for a, b in zip(moved, own, strict=True)]
+        back, of_varied = _pulled(run, steps, cotangents, last_cotangent)
+    own = jax.vjp(run.start, *run.varied)[1](back + cotangents[0])
+    return [a + b for a, b in zip(of_varied, own, strict=True)]
 
 
 def _taken_again(run: Run, steps: Steps) -> Array:
@@ -282,7 +282,9 @@ def _taken_again(run: Run, steps: Steps) -> Array:
     return _counted(steps.turns, one, (start, jnp.zeros_like(steps.kept)))[1]
 
 
-def _pulled(run: Run, steps: Steps, asked: Array, asked_last: Array) -> tuple[Any, Any]:
+def _pulled(
+    run: Run, steps: Steps, cotangents: Array, last_cotangent: Array
+) -> tuple[Any, Any]:
     """Cotangents of the first state and of what is varied, by XLA."""
     field = lambda t, y: run.rates(t, y, *run.varied)
     turns = steps.turns
@@ -300,34 +302,34 @@ def _pulled(run: Run, steps: Steps, asked: Array, asked_last: Array) -> tuple[An
             ahead = y + _mixed(stages.weights[-1], found)
             return ahead, states.at[j].set(y), rates.at[j].set(found)
 
-        size = asked_last.shape
-        states = jnp.zeros((STEPS_BETWEEN, *size), asked_last.dtype)
-        rates = jnp.zeros((STEPS_BETWEEN, run.count, *size), asked_last.dtype)
+        size = last_cotangent.shape
+        states = jnp.zeros((STEPS_BETWEEN, *size), last_cotangent.dtype)
+        rates = jnp.zeros((STEPS_BETWEEN, run.count, *size), last_cotangent.dtype)
         _, states, rates = _counted(here, again, (steps.kept[s], states, rates))
 
         def one(j, carry):
-            output, back, moved = carry
+            output, back, of_varied = carry
             j = here - 1 - j
             shows = steps.shows(first + j, output)
-            back = back + jnp.where(shows, asked[output], 0.0)
+            back = back + jnp.where(shows, cotangents[output], 0.0)
             stages = run.stages(steps, first + j)
             before, own = _pulled_step(run, stages, states[j], rates[j], back)
-            own = jax.tree.map(jnp.add, moved, own)
+            own = jax.tree.map(jnp.add, of_varied, own)
             taken = first + j < steps.count
-            back, moved = _where(taken, (before, own), (back, moved))
-            return jnp.where(shows, steps.before(output), output), back, moved
+            back, of_varied = _where(taken, (before, own), (back, of_varied))
+            return jnp.where(shows, steps.before(output), output), back, of_varied
 
         return _counted(here, one, carry)
 
     none = [jnp.zeros_like(x) for x in run.varied]
     end = steps.span(jnp.maximum(steps.count - 1, 0))[2]
     last_output = jnp.sum(steps.outputs <= end) - 1
-    carry = jnp.maximum(last_output, 0), asked_last, none
-    left, back, moved = _counted(segments, segment, carry)
-    passed = jnp.arange(asked.shape[0])
+    carry = jnp.maximum(last_output, 0), last_cotangent, none
+    left, back, of_varied = _counted(segments, segment, carry)
+    passed = jnp.arange(cotangents.shape[0])
     passed = (passed > 0) & (passed <= left)
-    lost = jnp.any(passed[:, None] & (asked != 0.0))
-    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), (back, moved))
+    lost = jnp.any(passed[:, None] & (cotangents != 0.0))
+    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), (back, of_varied))
 
 
 def _counted(count: Array, body: Callable, carry: Any) -> Any:
@@ -347,16 +349,18 @@ def _pulled_step(run: Run, stages: _Stages, y: Array, rates: Array, back: Array)
     count = run.count
 
     def stage(n, carry):
-        found, moved = carry
+        found, of_varied = carry
         m = count - 1 - n
         t = stages.times[m]
-        asked = stages.weights[-1, m] * back + _mixed(stages.weights[:-1, m], found)
+        cotangents = stages.weights[-1, m] * back + _mixed(
+            stages.weights[:-1, m], found
+        )
         place = y + _mixed(stages.weights[m], rates)
         function = lambda y, *varied: run.rates(t, y, *varied)
-        g, *own = jax.vjp(function, place, *run.varied)[1](asked)
-        return found.at[m].set(g), [a + b for a, b in zip(moved, own, strict=True)]
+        g, *own = jax.vjp(function, place, *run.varied)[1](cotangents)
+        return found.at[m].set(g), [a + b for a, b in zip(of_varied, own, strict=True)]
 
     none = [jnp.zeros_like(x) for x in run.varied]
     carry = jnp.zeros_like(rates), none
-    found, moved = jax.lax.fori_loop(0, count, stage, carry)
-    return back + jnp.sum(found, axis=0), moved
+    found, of_varied = jax.lax.fori_loop(0, count, stage, carry)
+    return back + jnp.sum(found, axis=0), of_varied

@@ -3,7 +3,7 @@
 The motion knows nothing of ``F(t, q) = 0``: it keeps it where the start fulfils it and
 its rate ``F_q q' + F_t`` vanishes at all speeds that the constraints allow. With
 ``q' = Y u + Z`` and ``u = T u_i + s`` that is ``F_q Y T = 0`` and
-``F_q (Y s + Z) + F_t = 0``. Source: theory, section 8a.
+``F_q (Y s + Z) + F_t = 0``. Source: docs/theory.md, (9.4).
 """
 
 from typing import NamedTuple

@@ -2,8 +2,8 @@
 
 Velocities are affine in the speeds, so that one derivative at rest gives every partial
 velocity; accelerations at constant speeds are derivatives along the motion. What the
-functions share is traced twice, however many there are. Source: the collected
-equations' section 8a (document [B], (1) to (6)).
+functions share is traced twice, however many there are. Source: [B], (1) to
+(6); docs/theory.md, section 9.
 """
 
 from collections.abc import Iterable
@@ -106,7 +106,7 @@ def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
     Raises:
         FieldError: another number of speeds, or known auxiliary ones that are not zero.
 
-    Source: [B] (4); theory, section 8a.
+    Source: [B] (4); docs/theory.md, (9.1), (9.2).
     """
     t, q, u = as_time(t), jnp.asarray(q), _with_auxiliary(system, u)
     partials = partials_of(system, t, q)

@@ -18,7 +18,7 @@ def euler_parameters_to_rotation(e: Float[Array, "4"]) -> Float[Array, "3 3"]:
     Args:
         e: Euler parameters [1], SCALAR LAST, shape (4,).
 
-    Source: [B], the transpose of [R]; theory, section 8a.
+    Source: [B], the transpose of [R]; docs/theory.md, (4.5).
     """
     e1, e2, e3, e4 = e[0], e[1], e[2], e[3]
     squares = e * e

@@ -38,7 +38,7 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
     Raises:
         FieldError: a contact that slips, or does not spin: its law is not written down.
 
-    Source: theory, sections 4 and 8a.
+    Source: docs/theory.md, sections 4 and 9.
     """
     if type(scene.contact) is not Rolling:  # RubberRolling is one of its kinds
         raise FieldError(

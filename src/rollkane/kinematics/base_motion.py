@@ -45,7 +45,7 @@ class BaseKinematics(eqx.Module):
         angular_velocity: ``(p_c, q_c, r_c)`` [rad/s], BASE axes, shape (3,).
         angular_acceleration: Its rate [rad/s^2], BASE axes, shape (3,).
 
-    Source: [A] (1.2); theory, section 1.
+    Source: [A] (1.2); docs/theory.md, (1.5).
     """
 
     position: Float[Array, "3"] | None = None
@@ -89,7 +89,7 @@ class BaseKinematics(eqx.Module):
     def acceleration_at(self, point: Float[Array, "3"]) -> Float[Array, "3"] | None:
         """``a_b``, acceleration of the base's material point [m/s^2], BASE axes.
 
-        Source: theory, section 4.1, ``a_Oc + w_c' x rho_c + w_c x (w_c x rho_c)``.
+        Source: docs/theory.md, (1.6), ``a_Oc + w_c' x rho_c + w_c x (w_c x rho_c)``.
         """
         spin, change = self.angular_velocity, self.angular_acceleration
         return _sum(

@@ -43,7 +43,7 @@ class Contact(eqx.Module):
         velocity: ``V``, of the contact point along the body's surface [m/s], body
             axes; along the base's, too, where nothing slips.
         body_rates: Rates of the body's contact coordinates [1/s]; shape (0,) where
-            the body is given by its normal.
+            the body is parametrized by its normal.
         base_rates: Rates of the base's contact coordinates [1/s], shape (k,).
         base: Motion of the base at this instant; None: at rest.
         base_angular_velocity: ``w_c`` [rad/s], body axes; None: it does not turn.
@@ -55,7 +55,7 @@ class Contact(eqx.Module):
             normal, relative to the base [rad/s]; None: nothing is.
         spare_slip: Of its slip, the part along the normal [m/s]; None: it rolls.
 
-    Source: theory, sections 1, 6, 7 and 8.1.
+    Source: docs/theory.md, (1.2), (1.3), (3.4), (3.5).
     """
 
     orientation: Float[Array, "4"] | None
@@ -77,7 +77,7 @@ class Contact(eqx.Module):
 
     @property
     def position(self) -> Float[Array, "3"]:
-        """Body origin O [m], fixed axes (theory, section 1: pose map)."""
+        """Body origin O [m], fixed axes (docs/theory.md, (1.3))."""
         return self.place - matvec(self.rotation, self.body_point)
 
     @property
@@ -102,7 +102,7 @@ class Contact(eqx.Module):
 
     @property
     def base_acceleration(self) -> Float[Array, "3"] | None:
-        """``a_b``, of the base's material point [m/s^2], body axes (theory 4.1)."""
+        """``a_b``, of the base's material point [m/s^2], body axes, (1.6)."""
         return self._of_base(BaseKinematics.acceleration_at)
 
     def _of_base(self, quantity) -> Float[Array, "3"] | None:
@@ -122,8 +122,8 @@ class Contact(eqx.Module):
 
         Where it slips, without the part along the surface that the forces determine.
 
-        Source: theory, section 4.1, ``a_P = a_b + V x (w - w_c)`` (rolling); section
-        8.4 (slipping), ``a_b + w_c x V_c - w x V_b + dU/dt``.
+        Source: docs/theory.md, (4.1), ``a_P = a_b + V x (w - w_c)``; where it slips
+        (7.1), ``a_b + w_c x V_c - w x V_b + dU/dt``.
         """
         relative = cross(self.velocity, self.relative_angular_velocity)
         if self.slip is not None:
@@ -150,9 +150,10 @@ def rolling_contact(
 
     The normals obey ``n_body = -n_base``, so with ``r = n_body x Om`` the turns of both
     add up, ``K_b x_b + K_c x_c = r`` (K = -W), and the travels agree,
-    ``L_b x_b + U = L_c x_c``: the system of theory 8.1 for s = -1. Only non-vanishing
-    quantities are divided by: the turn of a body given by its normal, the length of any
-    other; of a wire either may vanish, and all four unknowns are solved for at once.
+    ``L_b x_b + U = L_c x_c``: the system (3.5) for s = -1. Only non-vanishing
+    quantities are divided by: the turn of a body parametrized by its normal, the length
+    of any other; of a wire either may vanish, and all four unknowns are solved for at
+    once.
 
     Args:
         body: Surface of the body, body axes.
@@ -160,7 +161,8 @@ def rolling_contact(
         orientation: Quaternion, scalar first, body to fixed, any length [1].
         angular_velocity: Absolute, BODY axes [rad/s].
         on_base: Contact coordinates on the base.
-        on_body: Contact coordinates on the body; shape (0,) if given by its normal.
+        on_body: Contact coordinates on the body; shape (0,) if the normal
+            is its parameter.
         moving: Motion of the base; None: at rest.
         slip: ``U``, FIXED axes [m/s]; what of it leaves the surface is left out. None:
             it rolls.
@@ -189,7 +191,7 @@ def rolling_contact(
     turning = cross(normal, relative)
     body_rates = on_body
     if shell is not None:
-        roll = _way_to_roll(body, base)
+        roll = _rolling_unknowns(body, base)
         velocity, x_body, x_base = roll(shell, ground, to_base, turning, slip)
         body_point = shell.position
         body_rates = _rates_on(body, on_body, shell, x_body)
@@ -336,15 +338,15 @@ def _from_pair(pair, steps) -> Float[Array, "3"]:
     return first * pair[0] + second * pair[1]
 
 
-def _way_to_roll(body: AbstractSurface, base: AbstractSurface) -> Callable:
-    """How a body that carries its point rolls: which unknowns are solved for."""
+def _rolling_unknowns(body: AbstractSurface, base: AbstractSurface) -> Callable:
+    """Which unknowns are solved for, where the body has contact coordinates."""
     if base.is_flat:
         return _roll_on_plane
     return _roll_as_wire if isinstance(body, Ring) else _roll_on_base
 
 
 def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning, slip):
-    """Body given by its normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r + U``."""
+    """By the body's normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r + U``."""
     lengths_b = shell.lengths
     system = ground.lengths - matmul(lengths_b, ground.frame_rates)
     rhs = matvec(lengths_b, _on_pair(pair, turning))
@@ -358,7 +360,7 @@ def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning, 
 def _roll_on_plane(
     shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip
 ):
-    """Body that carries its point, on a plane: ``K_b x_b = r``."""
+    """Explicit contact coordinates, on a plane: ``K_b x_b = r``."""
     del ground
     pair = shell.frame[:, 0], shell.frame[:, 1]
     x_body = solve_2x2(-shell.frame_rates, _on_pair(pair, turning))
@@ -367,7 +369,7 @@ def _roll_on_plane(
 
 
 def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip):
-    """Body that carries its point.
+    """Explicit contact coordinates.
 
     ``(K_b L_b^-1 T L_c + T K_c) x_c = r + K_b L_b^-1 U``, where ``T[m, a] = e_m . t_a``
     takes the base's tangent pair to the body's.

@@ -106,7 +106,7 @@ class SlidingState(State):
             alpha_ddot: [unit of alpha / s^2].
             slip_acceleration: Along the surface, BODY axes [m/s^2].
 
-        Source: theory, section 8.4; the slip stays on the surface as it turns.
+        Source: docs/theory.md, (7.2); the slip stays on the surface as it turns.
         """
         rolling = super().rates(contact, angular_acceleration, alpha_ddot)
         slip, rate = contact.slip, contact.normal_rate

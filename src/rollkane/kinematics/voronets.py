@@ -43,7 +43,7 @@ class VoronetsState(eqx.Module):
         sign: ``s``: -1 where both e3 point out of the material; +1 where that of the
             base points into it, so that e3 = +e3c (the upper sign of [A]).
 
-    Source: [A] section 1; theory, sections 1 and 6.
+    Source: [A] section 1; docs/theory.md, (1.1) to (1.3), (3.1) to (3.3).
     """
 
     contact_on_body: Float[Array, "2"]
@@ -67,7 +67,7 @@ class VoronetsState(eqx.Module):
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
 
-        Source: theory, section 4.1, ``(sigma', tau', n') = w'|e - (w - w_1) x w``.
+        Source: docs/theory.md, (5.1), ``(sigma', tau', n') = w'|e - (w - w_1) x w``.
         """
         assert isinstance(contact, ChartContact)
         w_1 = contact.frame_turn
@@ -101,7 +101,8 @@ class ChartContact(Contact):
             None where it does not turn.
         angle_rate: ``theta'`` [rad/s].
         sign: ``s``.
-        by_normal: Whether the body is given by its normal: its chart may be an edge.
+        by_normal: Whether the body is parametrized by its normal: its chart may be
+            an edge.
         is_wire: Whether the body is a wire, whose normal may stand still, too.
     """
 
@@ -136,7 +137,7 @@ def chart_contact(
         state: Chart coordinates, angle and angular velocity.
         moving: Motion of the base; None: at rest.
 
-    Source: theory, sections 1 (pose map) and 8.1 (the system, for U = 0).
+    Source: docs/theory.md, (1.2), and (3.5) for U = 0.
     """
     s = state.sign
     q, q_c, theta = state.contact_on_body, state.contact_on_base, state.angle
@@ -203,7 +204,7 @@ def charts_of(
         theta: Angle between e1 and e2c [rad].
         sign: ``s``; for +1 the base's frame is turned over, e3c into its material.
 
-    Source: theory, section 1, ``R_CB = Ec S_th E^T``.
+    Source: docs/theory.md, (1.2), ``R_CB = Ec S_th E^T``.
     """
     shell, ground = body.chart_geometry(q), base.chart_geometry(q_c)
     if sign > 0:
@@ -224,7 +225,7 @@ def virtual_rates(
         contact: Contact in charts.
         turn: ``(dV^3, dV^4, dV^5)`` [rad].
 
-    Source: [A] after (1.10); theory, section 4: the columns B^i_k.
+    Source: [A] after (1.10); docs/theory.md, section 5: the columns B^i_k.
     """
     shell, ground, s = contact.shell, contact.ground, contact.sign
     sigma, tau, n = components(turn)

@@ -80,7 +80,7 @@ def in_charts(
     """:func:`to_voronets` without its checks."""
     body, base = scene.body.surface, scene.base.surface
     contact = contact_of(scene, t, state)
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         q = body.chart_coordinates(state.contact_on_body)
     else:
         q = body.chart_of_normal(contact.normal)
@@ -119,7 +119,7 @@ def to_pole_free(scene: Scene, state: AnyState, time: Any = 0.0) -> State:
     time = jnp.asarray(time, state.angular_velocity.dtype)
     contact = contact_of(scene, time, state)
     on_body = jnp.zeros(0, contact.body_point.dtype)
-    if scene.carries_point:
+    if scene.has_contact_coordinates:
         on_body = body.chart_inverse(state.contact_on_body)
     return State(
         orientation=quaternion_of(contact.rotation),

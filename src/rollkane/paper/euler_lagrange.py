@@ -1,9 +1,10 @@
 """The paper's formulation: Euler-Lagrange equations in quasi-velocities.
 
-Three forms of the equations of the supporting body, (2.3), (2.5) and (2.9), with those
-of what it carries, (2.4) or (2.10). Each is written as its residual, as it stands in
-the paper (corrected as docs/errata.md says); being linear in the accelerations, it is
-solved by linearising it once. Vectors are on body axes where nothing else is said.
+Three forms of the equations of the supporting body, [A] (2.3), (2.5) and (2.9), with
+those of what it carries, [A] (2.4) or (2.10). Each is written as its residual, as it
+stands in the paper (corrected as docs/errata.md says); being linear in the
+accelerations, it is solved by linearising it once. Vectors are on body axes where
+nothing else is said.
 """
 
 from collections.abc import Callable
@@ -54,7 +55,8 @@ def euler_lagrange_derivative(
         t: Time [s].
         state: In Voronets coordinates; a pole-free state is seen in the charts of its
             surfaces, and its rates are NaN at their poles.
-        equations: ``"2.3"`` (with (2.4)), ``"2.5"`` or ``"2.9"`` (with (2.10)).
+        equations: ``"2.3"`` (with [A] (2.4)), ``"2.5"`` or ``"2.9"`` (with
+            [A] (2.10)).
 
     Returns:
         Rates of every number of the state [its unit / s], as a state.
@@ -62,7 +64,7 @@ def euler_lagrange_derivative(
     Raises:
         FieldError: other equations.
 
-    Source: [A] (2.3)-(2.5), (2.9), (2.10); theory, section 4.
+    Source: [A] (2.3)-(2.5), (2.9), (2.10); docs/theory.md, section 5.
     """
     if equations not in EQUATIONS:
         raise FieldError(
@@ -76,7 +78,7 @@ def euler_lagrange_derivative(
     contact = contact_of(scene, t, own)
     assert isinstance(contact, ChartContact)
     solved = _solved(residual_of(scene, t, own, contact, equations), 3 + own.alpha.size)
-    # w' on body axes: (sigma', tau', n') = w'|e + w_1 x w (theory 4.1)
+    # w' on body axes: (sigma', tau', n') = w'|e + w_1 x w, (5.1)
     on_frame = solved[:3] - cross(contact.frame_turn, own.angular_velocity)
     w_dot = matvec(contact.shell.frame, on_frame)
     if own is not state:
@@ -153,7 +155,7 @@ def residual_of(
 
 
 def _lagrangian(scene, state, contact, motion: _Motion, moment, Q):
-    """(2.3) and (2.4), every term by automatic differentiation of T'."""
+    """[A] (2.3) and (2.4), every term by automatic differentiation of T'."""
     sign = state.sign
 
     def T(x, U, alpha_dot):
@@ -189,7 +191,7 @@ def _lagrangian(scene, state, contact, motion: _Motion, moment, Q):
 
 
 def _scalar_equations(scene, state, contact, motion: _Motion, moment):
-    """(2.5): the three equations written out on (e1, e2, e3)."""
+    """[A] (2.5): the three equations written out on (e1, e2, e3)."""
 
     def K(x, v, alpha_dot):
         place = place_of(scene, x, state.sign)
@@ -244,7 +246,7 @@ def _scalar_equations(scene, state, contact, motion: _Motion, moment):
 
 
 def _vector_equation(scene, state, contact, motion: _Motion, moment):
-    """(2.9): the same as one vector equation, d/dt in fixed axes."""
+    """[A] (2.9): the same as one vector equation, d/dt in fixed axes."""
 
     def K(x, v, alpha_dot):
         place = place_of(scene, x, state.sign)
@@ -272,7 +274,7 @@ def _vector_equation(scene, state, contact, motion: _Motion, moment):
 
 
 def _carried_equations(scene, state, motion: _Motion, Q):
-    """(2.10), for each coordinate of what is carried."""
+    """[A] (2.10), for each coordinate of what is carried."""
     x, v, alpha_dot = motion.x, motion.v, motion.alpha_dot
     place = place_of(scene, x, state.sign)
     w = matvec(place.frame, v)

@@ -72,7 +72,7 @@ class Inertia(NamedTuple):
 def place_of(scene: Scene, x: Configuration, sign: int) -> Place:
     """Contact point, frame and base velocity of a configuration.
 
-    Source: [A] (1.3), (1.4); theory, section 1.
+    Source: [A] (1.3), (1.4); docs/theory.md, (1.5).
     """
     shell, ground, _, to_base = charts_of(
         scene.body.surface, scene.base.surface, x.q, x.q_c, x.theta, sign
@@ -86,7 +86,7 @@ def place_of(scene: Scene, x: Configuration, sign: int) -> Place:
 def inertia_of(
     scene: Scene, x: Configuration, alpha_dot: Float[Array, " n"]
 ) -> Inertia:
-    """Mass properties of body and masses together (theory, section 1)."""
+    """Mass properties of body and masses together, as (6.1) has them."""
     body = scene.body
     rows = inertia_about(body.mass, body.center_of_mass, body.inertia)
     Th = jnp.stack(
@@ -129,7 +129,7 @@ def kinetic_energy_with_slip(
         alpha_dot: Rates of the coordinates of what is carried.
         sign: ``s``.
 
-    Source: [A] (1.14), second form; theory, section 3.
+    Source: [A] (1.14), second form; docs/theory.md, section 5.
     """
     place, body = place_of(scene, x, sign), inertia_of(scene, x, alpha_dot)
     rho, r_C, M = place.rho, body.r_C, body.mass
@@ -161,7 +161,7 @@ def angular_momentum_about_contact(
         body: Mass properties.
         v: ``(sigma, tau, n)`` [rad/s].
 
-    Source: [A] (1.15), (1.16); theory, section 3.
+    Source: [A] (1.15), (1.16); docs/theory.md, section 5.
     """
     rho, r_C, M = place.rho, body.r_C, body.mass
     w = matvec(place.frame, v)
@@ -186,7 +186,7 @@ def applied(
     Moment about the contact point of all applied forces, on (e1, e2, e3), and
     generalized forces.
 
-    Source: [A] (2.7), (2.8); theory, section 3.
+    Source: [A] (2.7), (2.8); docs/theory.md, section 5.
     """
     field = field_of(scene.loads)
     g = None if field is None else matvec_transposed(contact.rotation, field)

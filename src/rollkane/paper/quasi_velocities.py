@@ -3,7 +3,8 @@
 Everything follows from one :class:`ChartContact`: relative curvature coefficients,
 constraint coefficients, velocities of the base on the moving frame, the frame's own
 rotation, and the symbols Gamma and epsilon of the Euler-Lagrange equations. In general
-charts (theory, section 6); in principal ones they are the formulas of [A] term by term.
+charts (docs/theory.md, section 2); in principal ones they are the formulas of [A] term
+by term.
 """
 
 import equinox as eqx
@@ -47,7 +48,7 @@ class PaperQuantities(eqx.Module):
     At a sharp edge Delta, Delta_1, Delta_2, R, c and d are not finite; p, q, r, w_1,
     kappa, Gamma and epsilon are.
 
-    Source: [A] (1.2)-(1.13), (2.1); theory, sections 2 and 6.
+    Source: [A] (1.2)-(1.13), (2.1); docs/theory.md, sections 2 and 3.
     """
 
     a: Float[Array, "2 2"]
@@ -77,7 +78,7 @@ class PaperQuantities(eqx.Module):
         """``Gamma^r_tk``, index [r-1, t-1, k-1], shape (5, 5, 5).
 
         Units [m] for r = 1, 2 and [1] for r = 3, 4, 5; antisymmetric in t and k.
-        Source: [A] (2.1), (2.2), corrected (theory 4): the last has r = 5.
+        Source: [A] (2.1), (2.2), corrected (docs/errata.md): the last has r = 5.
         """
         p_1, p_2, _ = components(self.p)
         q_1, q_2, _ = components(self.q)
@@ -103,7 +104,8 @@ class PaperQuantities(eqx.Module):
         """``epsilon^r_k``, index [r-1, k-1], shape (5, 5).
 
         Units [m/s] for r = 1, 2 and [rad/s] for r = 3, 4, 5; zero where the base does
-        not turn. Source: [A] (2.1), (2.2), corrected (theory 4): the last have r = 5.
+        not turn. Source: [A] (2.1), (2.2), corrected (docs/errata.md): the last have
+        r = 5.
         """
         p_3, q_3, r_3 = self.p[2], self.q[2], self.r[2]
         turning = jnp.stack([self.A, self.B])
@@ -146,7 +148,7 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
     Raises:
         FieldError: ``principal``, and a12 or b12 of a chart is not zero.
 
-    Source: theory, sections 2 (principal charts) and 6 (general ones).
+    Source: docs/theory.md, (2.2), (3.1) to (3.3).
     """
     shell, ground, T, s = contact.shell, contact.ground, contact.tangents, contact.sign
     if principal:

@@ -41,7 +41,7 @@ _SIZES = {
 }
 
 
-class History(NamedTuple):
+class MotionSamples(NamedTuple):
     """A motion at T times; rows that the run did not reach are NaN.
 
     Attributes:
@@ -141,7 +141,7 @@ class History(NamedTuple):
         whole = ("masses", "base_moves", "kept", "rounding")
         return {k: v for k, v in self._asdict().items() if k not in whole}
 
-    def rows(self, which: np.ndarray) -> "History":
+    def rows(self, which: np.ndarray) -> "MotionSamples":
         """The same motion at some of its times only.
 
         Args:
@@ -150,7 +150,7 @@ class History(NamedTuple):
         return self._replace(**{k: v[which] for k, v in self.columns.items()})
 
 
-def history(trajectory: Trajectory) -> History:
+def motion_samples(trajectory: Trajectory) -> MotionSamples:
     """Evaluate a single trajectory for drawing.
 
     Args:
@@ -176,7 +176,7 @@ def history(trajectory: Trajectory) -> History:
     turned = jnp.asarray(columns["base_orientation"])
     columns["base_orientation"] = np.asarray(in_one_sense(turned))
     scene = trajectory.scene
-    return History(
+    return MotionSamples(
         time=np.asarray(trajectory.time, dtype=float),
         **columns,
         alpha=np.asarray(trajectory.alpha, dtype=float),

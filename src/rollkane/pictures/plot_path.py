@@ -6,7 +6,7 @@ import numpy as np
 
 from ..geometry.surfaces import AbstractSurface, Cone, Plane
 from .mesh import HEIGHTS, chart_points, surface_mesh
-from .motion_samples import History
+from .motion_samples import MotionSamples
 from .plot_style import FAINT, INK, RED, dress, limits
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def draw_path(
     panel: "Axes",
-    motion: History,
+    motion: MotionSamples,
     base: AbstractSurface | None = None,
     colorbar: bool = True,
     in_space: bool = False,
@@ -56,7 +56,9 @@ def draw_path(
         _time_scale(panel, lines)
 
 
-def draw_path_in_space(panel, motion: History, base: AbstractSurface, size: float):
+def draw_path_in_space(
+    panel, motion: MotionSamples, base: AbstractSurface, size: float
+):
     """Draw the contact's path on a curved base, coloured by time.
 
     Args:

@@ -21,7 +21,7 @@ from ..geometry.surfaces import (
 )
 from ..simulation.trajectory import Trajectory
 from .mesh import HEIGHTS, body_size
-from .motion_samples import History, history
+from .motion_samples import MotionSamples, motion_samples
 from .plot_path import draw_path, draw_path_in_space
 from .plot_style import (
     BLUE,
@@ -68,7 +68,7 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
         ImportError: matplotlib is not installed.
         FieldError: a batch.
     """
-    motion = history(trajectory)
+    motion = motion_samples(trajectory)
     panels = 4 + bool(motion.alpha.shape[1])
     figure = new_figure((8.0, 2.0 * panels))
     axes = figure.subplots(panels, 1, sharex=True)
@@ -106,7 +106,7 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
         FieldError: a batch.
     """
     figure = new_figure((7.0, 6.0))
-    motion = history(trajectory)
+    motion = motion_samples(trajectory)
     base = trajectory.scene.base.surface
     upwards = motion.base_outward[motion.reached, 2]
     if isinstance(base, HEIGHTS) or (upwards > _FACES_UP).all():
@@ -156,7 +156,7 @@ def plot_contact_path(
     write_whole(path, png(figure_contact_path(trajectory, title)))
 
 
-def _from_above(figure: "Figure", motion: History, base: AbstractSurface) -> None:
+def _from_above(figure: "Figure", motion: MotionSamples, base: AbstractSurface) -> None:
     """The path from above; of a base that moves, on it and in fixed axes."""
     if not motion.base_moves:
         figure.set_size_inches(*_shape(motion.contact_on_base[motion.reached, :2]))
@@ -196,7 +196,11 @@ def _head(figure: "Figure", trajectory: Trajectory, title: str) -> None:
 
 
 def _curve(
-    panel: "Axes", motion: History, values: np.ndarray, color: str, label: str = ""
+    panel: "Axes",
+    motion: MotionSamples,
+    values: np.ndarray,
+    color: str,
+    label: str = "",
 ) -> None:
     """A line through the finite values; a lone one is shown as a point."""
     finite = np.isfinite(values)
@@ -208,7 +212,7 @@ def _curve(
         panel.text(0.5, 0.5, "not reached", transform=panel.transAxes, ha="center")
 
 
-def _draw_spin(panel: "Axes", motion: History) -> None:
+def _draw_spin(panel: "Axes", motion: MotionSamples) -> None:
     _curve(panel, motion, motion.spin, BLUE)
     panel.set_ylim(*limits(motion.spin, 0.08, 1e-3))
     low, high = panel.get_ylim()
@@ -217,14 +221,14 @@ def _draw_spin(panel: "Axes", motion: History) -> None:
     panel.set_ylabel("spin [rad/s]")
 
 
-def _draw_tilt(panel: "Axes", motion: History, round_body: bool) -> None:
+def _draw_tilt(panel: "Axes", motion: MotionSamples, round_body: bool) -> None:
     tilt, axis = tilt_angle(motion, round_body)
     _curve(panel, motion, tilt, GREEN)
     panel.set_ylim(*limits(tilt, 0.08, 1e-3))
     panel.set_ylabel(f"tilt of body {axis} [deg]")
 
 
-def tilt_angle(motion: History, round_body: bool) -> tuple[np.ndarray, str]:
+def tilt_angle(motion: MotionSamples, round_body: bool) -> tuple[np.ndarray, str]:
     """Angle between an axis of the body and the base's normal.
 
     Args:
@@ -250,7 +254,7 @@ def tilt_angle(motion: History, round_body: bool) -> tuple[np.ndarray, str]:
     return np.degrees(np.arctan2(across, sign * along[k])), "−" * (sign < 0) + "xyz"[k]
 
 
-def _draw_alpha(panel: "Axes", motion: History) -> None:
+def _draw_alpha(panel: "Axes", motion: MotionSamples) -> None:
     colors = (BLUE, RED, GREEN, BROWN, PURPLE)
     count = motion.alpha.shape[1]
     for k, values in enumerate(motion.alpha.T):
@@ -261,7 +265,7 @@ def _draw_alpha(panel: "Axes", motion: History) -> None:
         panel.legend(loc="upper right", ncols=min(count, 6), fontsize=8, frameon=False)
 
 
-def _draw_energy(panel: "Axes", motion: History) -> None:
+def _draw_energy(panel: "Axes", motion: MotionSamples) -> None:
     if not motion.kept:
         _curve(panel, motion, motion.energy, PURPLE)
         panel.set_ylim(*limits(motion.energy, 0.08, 1e-12))
@@ -291,7 +295,9 @@ def _draw_energy(panel: "Axes", motion: History) -> None:
         panel.set_title("E*: moving energy", loc="right", fontsize=9, pad=3)
 
 
-def _draw_normal_force(panel: "Axes", motion: History, trajectory: Trajectory) -> None:
+def _draw_normal_force(
+    panel: "Axes", motion: MotionSamples, trajectory: Trajectory
+) -> None:
     force = motion.normal_force
     _curve(panel, motion, force, BROWN)
     low, high = limits(np.append(force, 0.0), 0.06)

@@ -12,7 +12,7 @@ from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
 from ..hybrid.modes import Mode, Switches
 from ..simulation.trajectory import Trajectory
-from .motion_samples import History, history
+from .motion_samples import MotionSamples, motion_samples
 
 _MOST_LISTED = 12
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
@@ -40,7 +40,7 @@ def summary(trajectory: Trajectory) -> list[str]:
     Raises:
         FieldError: a batch.
     """
-    motion = history(trajectory)
+    motion = motion_samples(trajectory)
     rows = np.nonzero(motion.reached)[0]
     lines = []
     if rows.size:
@@ -124,7 +124,7 @@ def _line(name: str, text: str) -> str:
     return f"  {name:<18}{text}"
 
 
-def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
+def _spin_lines(trajectory: Trajectory, motion: MotionSamples, rows) -> list[str]:
     """Spin about the normal and about the body axis next to it, with their reversals.
 
     The two change sign at different times where the body rocks: Kane and Levinson's
@@ -154,7 +154,7 @@ def _spin_lines(trajectory: Trajectory, motion: History, rows) -> list[str]:
     return lines
 
 
-def _energy_line(motion: History) -> str:
+def _energy_line(motion: MotionSamples) -> str:
     """Drift of the energy that the motion has to keep; else how it changed."""
     if not motion.kept:
         change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
@@ -165,7 +165,7 @@ def _energy_line(motion: History) -> str:
     return _line("energy drift", f"{drift} of the moving energy E - w_c . J")
 
 
-def _force_lines(trajectory: Trajectory, motion: History) -> list[str]:
+def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
     press, time = motion.normal_force, motion.time
     mass = float(trajectory.scene.body.mass)
     if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:

@@ -18,7 +18,7 @@ from ..geometry.surfaces import Plane
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .mesh import Mesh, body_size, plate_mesh, surface_mesh
-from .motion_samples import History, history
+from .motion_samples import MotionSamples, motion_samples
 
 # More frames would only make the page larger: it moves smoothly between them.
 MOST_FRAMES = 2000
@@ -80,9 +80,9 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
         ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
         its origin [m]), ``force`` (a usual contact force [N]), ``carried`` (masses of
         the carried points [kg]), ``energy_label`` (what the energy column is, and its
-        unit), ``frames`` (columns of :class:`History`; ``energy`` is the relative error
-        where an energy is kept; those of the base only where it moves), ``body`` and
-        ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
+        unit), ``frames`` (columns of :class:`MotionSamples`; ``energy`` is the relative
+        error where an energy is kept; those of the base only where it moves), ``body``
+        and ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
         chart has no point). Arrays are written as ``type``, ``unit``, ``shape`` and
         ``data`` (base64, little endian, in that unit); ``points`` of a mesh are shares
         of the box from ``low`` to ``high`` [m].
@@ -90,7 +90,7 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
     Raises:
         FieldError: a batch, or a run of which no state is finite.
     """
-    motion = history(trajectory)
+    motion = motion_samples(trajectory)
     reached = np.flatnonzero(motion.reached)
     if not reached.size:
         raise FieldError(
@@ -125,7 +125,7 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
     }
 
 
-def _frames(motion: History) -> dict:
+def _frames(motion: MotionSamples) -> dict:
     """Columns of at most ``MOST_FRAMES`` rows."""
     count = len(motion.time)
     kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
@@ -149,14 +149,16 @@ def _frames(motion: History) -> dict:
     return packed
 
 
-def _body_mesh(trajectory: Trajectory, motion: History, size: float) -> Mesh:
+def _body_mesh(trajectory: Trajectory, motion: MotionSamples, size: float) -> Mesh:
     surface = trajectory.scene.body.surface
     if isinstance(surface, Plane):
         return plate_mesh(motion.contact_on_body, size)
     return surface_mesh(surface, motion.contact_on_body, motion.body_outward, size)
 
 
-def _base_data(trajectory: Trajectory, motion: History, size: float) -> dict | None:
+def _base_data(
+    trajectory: Trajectory, motion: MotionSamples, size: float
+) -> dict | None:
     """Mesh of the base; of a plane, which the page draws itself, only the word."""
     surface = trajectory.scene.base.surface
     if isinstance(surface, Plane):

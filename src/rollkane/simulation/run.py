@@ -366,7 +366,7 @@ def check_start(scene: Scene, start: AnyState) -> None:
     if isinstance(start, VoronetsState):
         shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
     else:
-        carried = body.coordinate_count if scene.carries_point else 0
+        carried = body.coordinate_count if scene.has_contact_coordinates else 0
         shapes |= {
             "orientation": (4,),
             "contact_on_base": (base.coordinate_count,),

@@ -147,14 +147,14 @@ class Trajectory:
 
     @property
     def contact_force(self) -> Float[Array, "T 3"]:
-        """Force of the base on the body [N], fixed axes, shape (T, 3) (theory 5)."""
+        """Force of the base on the body [N], fixed axes, shape (T, 3), (6.2)."""
         return self.each(contact_force)
 
     @property
     def normal_force(self) -> Float[Array, " T"]:
         """Normal part of the contact force [N], shape (T,); > 0 while pressed together.
 
-        Source: theory, section 5, N = -Rc . e_out.
+        Source: docs/theory.md, (6.2), N = -Rc . e_out.
         """
         return self.each(observables.normal_force)
 

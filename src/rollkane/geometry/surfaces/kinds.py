@@ -1,8 +1,8 @@
 """What every surface can do, and the two ways in which it can carry a contact point.
 
-A surface is *given by its normal* when the outward normal determines the point (sphere,
+A surface is *parametrized by its normal* when that determines the point (sphere,
 ellipsoid, rim): then the normal itself is the coordinate and edges are ordinary. Every
-other surface *carries its point*: its coordinates live on a manifold without poles.
+other surface has *explicit contact coordinates*, on a manifold without poles.
 """
 
 import abc
@@ -58,7 +58,7 @@ class AbstractSurface(eqx.Module):
         return jnp.ones(2, u.dtype)
 
     def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
-        """Coordinates brought back to their manifold after a finite step."""
+        """Coordinates projected onto their manifold after a finite step."""
         return u
 
     def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
@@ -148,7 +148,7 @@ class AbstractSurface(eqx.Module):
     def normal_heading(
         self, against_plane: bool
     ) -> Callable[[Float[Array, "3"]], Float[Array, "2"]] | None:
-        """Of a surface given by its normal: a part of the normal that must not vanish.
+        """Part of the normal that must not vanish; of a surface parametrized by it.
 
         Where it does, the inverse Gauss map jumps: a whole face or circle has that
         normal. No step of a run may reverse it. None: the map is continuous.
@@ -161,7 +161,7 @@ class AbstractSurface(eqx.Module):
     def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
         """Chart coordinates where the outward normal is the given one.
 
-        Only for surfaces that are given by their normal.
+        Only for surfaces parametrized by their normal.
         """
         return longitude_latitude(normal)
 
@@ -176,7 +176,7 @@ class AbstractSurface(eqx.Module):
 
 
 class AbstractNormalSurface(AbstractSurface):
-    """A surface given by its normal; its coordinate is the outward normal itself."""
+    """A surface parametrized by its normal, its coordinate (inverse Gauss map)."""
 
     coordinate_count: ClassVar[int] = 3
 
@@ -236,7 +236,7 @@ class AbstractNormalSurface(AbstractSurface):
     def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
         """Geometry in longitude and latitude of the normal; edges included.
 
-        Source: theory, section 8.1 (the chart of the rim, for any such surface).
+        Source: docs/theory.md, (2.3) (the chart of the rim, for any such surface).
         """
         c1, s1, c2, s2 = jnp.cos(q[0]), jnp.sin(q[0]), jnp.cos(q[1]), jnp.sin(q[1])
         zero = jnp.zeros_like(c1)
@@ -255,7 +255,7 @@ class AbstractNormalSurface(AbstractSurface):
 
 
 class AbstractPointSurface(AbstractSurface):
-    """A surface that carries its contact point, found by search where it must be."""
+    """A surface with explicit contact coordinates, found by search if need be."""
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
