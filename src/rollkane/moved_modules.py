@@ -165,8 +165,8 @@ class _Loader(Loader):
 def install() -> None:
     """Let Python's imports find former names, once.
 
-    Before it looks into folders: in that of a package under its former name it would find
-    its modules a second time.
+    Before it looks into folders: in that of a package under its former name it would
+    find its modules a second time.
     """
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _Finder())
