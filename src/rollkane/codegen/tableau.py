@@ -9,13 +9,21 @@ from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
 
-# those whose steps are their tableau and nothing else
+# diffrax's own whose steps are their tableau and nothing else
 PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
 
 
 def is_plain(solver: Any) -> bool:
-    """Whether a step of a diffrax solver is its tableau and nothing else."""
-    return type(solver) in PLAIN
+    """Whether a step of a solver is its tableau and nothing else, a user's own included.
+
+    An explicit method whose last stage is the end of its step, with an error estimate.
+    """
+    kind = type(solver)
+    if not isinstance(solver, dfx.AbstractERK) or kind.step is not dfx.AbstractERK.step:
+        return False
+    tableau = kind.tableau
+    known = isinstance(tableau, dfx.ButcherTableau)
+    return known and tableau.ssal and tableau.b_error is not None
 
 
 class Weights(NamedTuple):
