@@ -4,13 +4,14 @@ Everything heavy is imported inside the commands, so that ``--help`` answers at 
 and so that JAX is set up before it starts.
 """
 
+import contextlib
 import importlib.util
 import json
 import math
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,7 @@ def work_precision(
     _start_jax()
     file = _loaded(ctx, scene)
 
+    from .files.atomic_file import write_whole
     from .studies.work_precision import work_precision as measure
     from .validation.checks import FieldError
 
@@ -221,9 +223,10 @@ def work_precision(
     click.echo(f"{file.title}: {work.horizon:g} s")
     click.echo(work.table())
     click.echo(f"errors below {work.certainty:.1e} are unknown ({work.reference})")
-    if work.failure:
+    with _telling_of_files():
         if json_file is not None:
-            targets["json"].write_text(work.to_json())
+            write_whole(targets["json"], work.to_json().encode())
+    if work.failure:
         raise click.ClickException(f"{scene}: {work.failure}")
     try:
         best = work.recommend(error)
@@ -233,10 +236,9 @@ def work_precision(
         )
     except FieldError as refused:
         click.echo(f"for {error:g}: {refused}")
-    if json_file is not None:
-        targets["json"].write_text(work.to_json())
-    if plot is not None:
-        work.plot(targets["plot"], file.title)
+    with _telling_of_files():
+        if plot is not None:
+            work.plot(targets["plot"], file.title)
     for target in targets.values():
         click.echo(f"wrote {target}")
 
@@ -368,13 +370,21 @@ def _write(name: str, result: Any, target: Path, title: str) -> bool:
     from .validation.checks import FieldError
 
     try:
-        _writer(name)(result, target, title)
+        with _telling_of_files(f" {target}"):
+            _writer(name)(result, target, title)
     except FieldError as error:
         click.echo(f"error: did not write {target}: {error}", err=True)
         return False
-    except OSError as error:
-        raise click.ClickException(f"cannot write {target}: {error}") from error
     return True
+
+
+@contextlib.contextmanager
+def _telling_of_files(target: str = "") -> Iterator[None]:
+    """A sentence, not a traceback, where the system refuses to write."""
+    try:
+        yield
+    except OSError as error:
+        raise click.ClickException(f"cannot write{target}: {error}") from error
 
 
 def _writer(name: str) -> Callable[[Any, Path, str], None]:

@@ -292,6 +292,24 @@ def test_work_precision(folder):
     assert (folder / "work.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.parametrize("target", ["--json", "--plot"])
+def test_work_precision_on_a_disk_that_refuses(folder, monkeypatch, target):
+    """A sentence, and no half of a file in the place of the old one."""
+
+    def full(*_):
+        raise OSError("no space left on device")
+
+    (folder / "old").write_text("as it was")
+    monkeypatch.setattr("rollkane.files.atomic_file.os.fsync", full)
+    options = ["--horizon", "0.5", "--solver", "Dopri5", "--method", "native"]
+    options += ["--rtol", "1e-6", "--repeats", "1", "--quiet", target, "old"]
+    done = rollkane_with("work-precision", "ball.toml", *options)
+    assert done.exit_code == 1
+    assert "cannot write: no space left" in done.output
+    assert (folder / "old").read_text() == "as it was"
+    assert set(os.listdir(folder)) == {"ball.toml", "old"}
+
+
 def test_work_precision_without_a_setting_that_worked(folder):
     """A sentence, not a traceback or a recommendation of nothing."""
     options = ["--horizon", "0.5", "--solver", "Dopri5", "--method", "native"]

@@ -14,7 +14,7 @@ PLAIN = (dfx.Bosh3, dfx.Dopri5, dfx.Dopri8, dfx.Tsit5)
 
 
 def is_plain(solver: Any) -> bool:
-    """Whether a step of a solver is its tableau and nothing else, a user's own included.
+    """Whether a step of a solver, diffrax's or a user's, is its tableau alone.
 
     An explicit method whose last stage is the end of its step, with an error estimate.
     """

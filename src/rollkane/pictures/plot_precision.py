@@ -1,11 +1,11 @@
 """The picture of what accuracy costs: error and energy error against time."""
 
 from os import PathLike
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..files.atomic_file import write_whole
 from ..studies.timing import Measured
 from ..studies.work_precision import WorkPrecision
 from .plot_style import BLUE, BROWN, GREEN, INK, PURPLE, RED, dress, new_figure, png
@@ -104,7 +104,7 @@ def plot_work_precision(
 
     Args:
         work: The measurements.
-        path: File to write.
+        path: File to write, whole or not at all.
         title: Above the figure.
     """
-    Path(path).write_bytes(png(figure_work_precision(work, title)))
+    write_whole(path, png(figure_work_precision(work, title)))
