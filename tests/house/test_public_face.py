@@ -187,4 +187,4 @@ def test_mechanics_names_its_equations():
     for folder, names in modules.items():
         for name in names:
             text = (SOURCE / folder / f"{name}.py").read_text()
-            assert re.search(r"Source: (theory|\[A\])", text), name
+            assert re.search(r"Source: (docs/theory|\[A\])", text), name

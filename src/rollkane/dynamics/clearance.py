@@ -19,7 +19,6 @@ from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractSurface, Parametric, Revolution
 from ..kinematics.contact import body_to_base
-from ..kinematics.coordinates import FlyingState
 from ..validation.codes import Code, is_stuck
 from .rolling import contact_of
 from .scene import Scene
@@ -172,7 +171,7 @@ def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:
 
 def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
     """Rotation from body to base axes, and the body origin on base axes [m]."""
-    if not isinstance(state, FlyingState):
+    if state.touches:
         contact = contact_of(scene, t, state)
         to_base = contact.to_base
         return to_base, contact.base_point - matvec(to_base, contact.body_point)

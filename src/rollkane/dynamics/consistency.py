@@ -9,11 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot, matvec, norm, solve_spd
-from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState, VoronetsState
 from .mass_matrix import assemble
 from .rolling import contact_of
-from .scene import RubberRolling, Scene
+from .scene import Scene
 
 
 def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
@@ -29,10 +29,10 @@ def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
         t: Time [s].
         state: Any; one in flight or in Voronets coordinates has no spare numbers.
     """
-    if isinstance(state, (FlyingState, VoronetsState)):
+    if isinstance(state, VoronetsState) or not state.touches:
         return state
-    slides = isinstance(state, SlidingState)
-    rubber = isinstance(scene.contact, RubberRolling) and not slides
+    slides = state.slips
+    rubber = scene.contact.without_spin and not slides
     if not (scene.has_contact_coordinates or rubber or slides):
         return state
     contact = contact_of(scene, t, state)

@@ -17,7 +17,7 @@ from ..kinematics.contact import Contact
 from ..validation.checks import FieldError
 from .directed_friction import Balance, DirectedFriction, first_way
 from .mass_matrix import System
-from .scene import Flying, RubberRolling, Scene, Slipping
+from .scene import Scene, Slipping
 from .supported import total
 
 
@@ -108,17 +108,17 @@ def accelerations(
     Source: docs/theory.md, (4.3), (7.1) to (7.4).
     """
     law = scene.contact
-    if isinstance(law, (RubberRolling, Slipping)) and contact.normal_rate is None:
+    if (law.slips or law.without_spin) and contact.normal_rate is None:
         problem = "does not belong to a state that rolls without slipping"
         remedy = "use Rolling(), or a state of this scene in pole-free coordinates"
         raise FieldError("Scene.contact", law, problem, remedy)
-    if isinstance(law, Flying):
+    if not law.touches:
         return _flying(scene, contact, system)
     resisting = _resistance(scene, contact)
-    if isinstance(law, Slipping):
+    if law.slips:
         return _slipping(scene, contact, system, resisting)
     pushes: list[_Push] = []
-    if isinstance(law, RubberRolling):
+    if law.without_spin:
         pushes.append(_against_spin(contact, len(system.rows)))
     if resisting is not None:
         push = _by_normal_force(scene, contact, system, resisting, [])

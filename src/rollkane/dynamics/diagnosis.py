@@ -6,8 +6,6 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..kinematics.coordinates import FlyingState
-from ..kinematics.voronets import VoronetsState
 from ..validation.user_functions import GivenFunction, UserFunction
 from .contact_laws import accelerations
 from .mass_matrix import assemble, shares
@@ -43,7 +41,7 @@ def _parts(scene: Scene, t: Any, state: Any) -> Iterator[tuple[str, str, Callabl
     if motion is not None:
         remedy = "let its functions be finite and smooth at the first time"
         yield f"the motion of the base ({_named(motion)})", remedy, lambda: motion.at(t)
-    if not isinstance(state, FlyingState):
+    if state.touches:
         yield from _of_surfaces(scene, state)
     listed = shares(scene.supported, state.alpha, state.alpha_dot)
     for k, (part, alpha, rates) in enumerate(listed):
@@ -75,7 +73,7 @@ def _parts(scene: Scene, t: Any, state: Any) -> Iterator[tuple[str, str, Callabl
 
 def _of_surfaces(scene: Scene, state: Any) -> Iterator[tuple[str, str, Callable]]:
     body, base = scene.body.surface, scene.base.surface
-    in_charts = isinstance(state, VoronetsState)
+    in_charts = state.in_charts
     places = [("scene.base.surface", base, state.contact_on_base)]
     if scene.has_contact_coordinates or in_charts:
         places.append(("scene.body.surface", body, state.contact_on_body))

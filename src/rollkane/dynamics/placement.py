@@ -20,7 +20,7 @@ from .consistency import consistent
 from .mass_matrix import assemble, field_of
 from .placement_errors import Placed, refuse_bad, refuse_needless, warn_of_pull
 from .rolling import contact_of
-from .scene import Scene, Slipping
+from .scene import Scene
 
 
 def place(
@@ -151,7 +151,7 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
         wrong["overlaps"] = overlap > loose * (found.size + norm(where))
     if scene.coordinate_count:
         wrong["massless"] = _massless(scene, time, state)
-    if isinstance(scene.contact, Slipping):
+    if scene.contact.slips:
         state, leaves = _sliding(scene, time, state, asked, loose)
         wrong["leaves"] = leaves
     state = consistent(scene, time, state)

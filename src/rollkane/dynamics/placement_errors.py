@@ -12,7 +12,7 @@ from ..geometry.surfaces import DiscEdge, Ring
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from .rolling import press_and_pull
-from .scene import Scene, Slipping
+from .scene import Scene
 
 
 class Placed(eqx.Module):
@@ -94,7 +94,7 @@ _WRONG = {
 
 def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
     """Refuse what the scene determines, or has no use for."""
-    slips = isinstance(scene.contact, Slipping)
+    slips = scene.contact.slips
     for name in ("velocity", "slip"):
         if given[name] is not None and not slips:
             raise FieldError(

@@ -9,12 +9,12 @@ from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import dot, matvec, matvec_transposed
-from ..kinematics.contact import Contact, body_to_base, flight, rolling_contact
-from ..kinematics.coordinates import FlyingState, SlidingState, State
-from ..kinematics.voronets import AnyState, VoronetsState, chart_contact
+from ..kinematics.contact import Contact, body_to_base
+from ..kinematics.coordinates import SlidingState
+from ..kinematics.voronets import AnyState, VoronetsState
 from .contact_laws import Solution, accelerations, momentum_rate
 from .mass_matrix import assemble
-from .scene import RubberRolling, Scene
+from .scene import Scene
 
 # a run towards Painleve's paradox ends just before it, with the normal force growing
 # over all
@@ -32,27 +32,9 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
     Returns:
         The contact; for a Voronets state a ``ChartContact``.
     """
-    if isinstance(state, FlyingState):
-        return flight(
-            state.orientation, state.angular_velocity, state.position, state.velocity
-        )
-    body, base = scene.body.surface, scene.base.surface
-    motion = scene.base.motion
-    moving = None if motion is None else motion.at(t)
-    if isinstance(state, VoronetsState):
-        return chart_contact(body, base, state, moving)
-    assert isinstance(state, State)
-    return rolling_contact(
-        body,
-        base,
-        state.orientation,
-        state.angular_velocity,
-        state.contact_on_base,
-        state.contact_on_body,
-        moving,
-        state.slip if isinstance(state, SlidingState) else None,
-        without_spin=isinstance(scene.contact, RubberRolling),
-    )
+    body, base, motion = scene.body.surface, scene.base.surface, scene.base.motion
+    moving = lambda: None if motion is None else motion.at(t)
+    return state.contact(body, base, moving, scene.contact.without_spin)
 
 
 def watches_headings(scene: Scene) -> bool:
@@ -112,9 +94,7 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
 
 def _rates(state: AnyState, contact: Contact, solution: Solution) -> AnyState:
     w_dot, alpha_ddot, slid, *_ = solution
-    if isinstance(state, (SlidingState, FlyingState)):
-        return state.rates(contact, w_dot, alpha_ddot, slid)
-    return state.rates(contact, w_dot, alpha_ddot)
+    return state.rates(contact, w_dot, alpha_ddot, slid)
 
 
 def rates_and_force(

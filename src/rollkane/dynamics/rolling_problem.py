@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..geometry.small_linear import norm
-from ..kinematics.voronets import CHART_EDGE, ChartContact, VoronetsState
+from ..kinematics.voronets import CHART_EDGE, ChartContact
 from ..validation.codes import Code, is_stuck
 from .rolling import (
     LEAST_MARGIN,
@@ -18,7 +18,7 @@ from .rolling import (
     painleve_margin,
     watches_headings,
 )
-from .scene import Scene, Slipping
+from .scene import Scene
 
 # A run that ends at the end of a surface is as close to it as the clock's steps tell
 # [s], and the normal of a disc that lies down is this close to that of its face [rad].
@@ -52,15 +52,13 @@ def unbroken(scene: Scene, state: Any) -> Callable | None:
 
 def has_margin(scene: Scene) -> bool:
     """Whether something is proportional to the normal force."""
-    law = scene.contact
-    slips = isinstance(law, Slipping) and law.friction.needs_normal_force
-    return slips or any(load.needs_normal_force for load in scene.loads)
+    loads = any(load.needs_normal_force for load in scene.loads)
+    return scene.contact.needs_normal_force or loads
 
 
 def explains_ends(scene: Scene, state: Any) -> bool:
     """Whether a run that got stuck may have a reason that the scene tells."""
-    in_charts = isinstance(state, VoronetsState)
-    return in_charts or has_margin(scene) or has_edges(scene)
+    return state.in_charts or has_margin(scene) or has_edges(scene)
 
 
 def has_edges(scene: Scene) -> bool:
@@ -102,7 +100,7 @@ def explained(code: Array, scene: Scene, t: Array, state: Any) -> Array:
 def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
     """Whether a contact has come to the end of a surface."""
     body, base = scene.body.surface, scene.base.surface
-    in_charts = isinstance(state, VoronetsState)
+    in_charts = state.in_charts
     of = lambda surface: surface.chart_extent if in_charts else surface.extent
     contact = contact_of(scene, t, state)
     places = [(of(base), state.contact_on_base, contact.base_rates)]

@@ -3,6 +3,8 @@
 What a scene does not name costs nothing: it is no part of the traced program.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 
 from ..geometry.surfaces import AbstractSurface, Plane
@@ -14,12 +16,22 @@ from .loads import AbstractLoad, Gravity
 from .supported import AbstractSupported
 
 
-class Rolling(eqx.Module):
-    """Contact law: rolling without slipping, turning about the normal allowed.
+class AbstractContactLaw(eqx.Module):
+    """What holds body and base together; each law says what others ask of it."""
 
-    Bilateral: a run goes on where the contact force is tensile, and the result says
-    when that began.
-    """
+    touches: ClassVar[bool] = True  # there is a contact
+    slips: ClassVar[bool] = False  # the state has a slip
+    without_spin: ClassVar[bool] = False  # no turn about the normal
+
+    @property
+    def does_work(self) -> bool:
+        """Whether the contact force takes energy; not where it does not move."""
+        return self.slips
+
+    @property
+    def needs_normal_force(self) -> bool:
+        """Whether a part of it is proportional to the normal force."""
+        return False
 
     @property
     def one_sided(self) -> bool:
@@ -29,10 +41,13 @@ class Rolling(eqx.Module):
         """
         return False
 
-    @property
-    def does_work(self) -> bool:
-        """False: the contact force does not move."""
-        return False
+
+class Rolling(AbstractContactLaw):
+    """Contact law: rolling without slipping, turning about the normal allowed.
+
+    Bilateral: a run goes on where the contact force is tensile, and the result says
+    when that began.
+    """
 
 
 class RubberRolling(Rolling):
@@ -43,8 +58,10 @@ class RubberRolling(Rolling):
     Source: docs/theory.md, (7.3).
     """
 
+    without_spin: ClassVar[bool] = True
 
-class Slipping(eqx.Module):
+
+class Slipping(AbstractContactLaw):
     """Contact law: the contact holds, but the body slips on it, against friction.
 
     Bilateral, like rolling: where the contact pulls, friction acts with the size of the
@@ -56,6 +73,7 @@ class Slipping(eqx.Module):
     Source: docs/theory.md, (7.1), (7.2).
     """
 
+    slips: ClassVar[bool] = True
     friction: AbstractFriction
 
     def __init__(self, friction: AbstractFriction | None = None):
@@ -74,18 +92,15 @@ class Slipping(eqx.Module):
         self.friction = friction
 
     @property
-    def does_work(self) -> bool:
-        """True: friction takes energy."""
-        return True
+    def needs_normal_force(self) -> bool:
+        """Whether the friction does."""
+        return self.friction.needs_normal_force
 
 
-class Flying(eqx.Module):
+class Flying(AbstractContactLaw):
     """No contact: the body flies under its loads (a mode of a run with ``modes``)."""
 
-    @property
-    def does_work(self) -> bool:
-        """False."""
-        return False
+    touches: ClassVar[bool] = False
 
 
 class Base(eqx.Module):

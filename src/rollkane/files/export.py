@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import __version__
-from ..dynamics.scene import Slipping
 from ..simulation.trajectory import Trajectory
 from .atomic_file import write_whole
 
@@ -91,7 +90,7 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     scene = trajectory.scene
     if moving or scene.supported or scene.does_work:
         described |= _WORK
-    if isinstance(scene.contact, Slipping):
+    if scene.contact.slips:
         described |= _SLIDING
     if trajectory.state.alpha.shape[-1]:
         described |= _SUPPORTED
@@ -111,9 +110,7 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     }
     attributes: dict[str, Any] = {
         "title": "motion of a rigid body that "
-        + (
-            "slips" if isinstance(scene.contact, Slipping) else "rolls without slipping"
-        ),
+        + ("slips" if scene.contact.slips else "rolls without slipping"),
         "rollkane_version": __version__,
         "axes_note": "right-handed; base axes "
         + ("by base_rotation" if moving else "coincide with the fixed axes"),

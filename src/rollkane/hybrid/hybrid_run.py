@@ -25,7 +25,7 @@ from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.integrate import in_order
 from ..integration.step_control import Stops, landings
-from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
 from ..validation.codes import NO_FAULT, Code, first_fault, is_stuck
 from .mode_adjoint import pulled_back
@@ -91,8 +91,8 @@ def integrate_modes(
         native: Whether the loop is compiled as C, and its derivatives where they can
             be; else all by XLA.
     """
-    mode = Mode.FLYING if isinstance(start, FlyingState) else Mode.ROLLING
-    mode = Mode.SLIPPING if isinstance(start, SlidingState) else mode
+    mode = Mode.SLIPPING if start.slips else Mode.ROLLING
+    mode = mode if start.touches else Mode.FLYING
     runs = _Runs(mode, solver, max_steps, corners, allowed, native)
     increasing = in_order(times) & ~(times[0] > times[-1])
     fault, code_of_fault = first_fault(scene, of(start), increasing)

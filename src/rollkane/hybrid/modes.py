@@ -12,7 +12,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..dynamics.directed_friction import DirectedFriction
-from ..dynamics.scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
+from ..dynamics.scene import (
+    AbstractContactLaw,
+    Flying,
+    Rolling,
+    RubberRolling,
+    Scene,
+    Slipping,
+    under,
+)
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec_transposed
 from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
@@ -30,7 +38,7 @@ class Mode:
 IMPACT_LAWS = ("energetic", "newton")
 
 
-class Modes(eqx.Module):
+class Modes(AbstractContactLaw):
     """How a run may change between rolling, slipping and flight.
 
     Attributes:
@@ -191,7 +199,7 @@ def in_modes(scene: Scene) -> Scenes:
     kept = tuple(load for load in scene.loads if not load.needs_contact)
     law = scene.contact.contact
     if scene.contact.lifts:
-        rubber = isinstance(law, RubberRolling)
+        rubber = law.without_spin
         law = _RubberThatLifts() if rubber else _RollingThatLifts()
     return Scenes(under(scene, law), under(scene, Flying(), kept))
 

@@ -23,7 +23,6 @@ from ..dynamics.rolling import (
     rolling_derivative,
     slipping_rates,
 )
-from ..dynamics.scene import RubberRolling
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, cubic, stays_positive
@@ -332,7 +331,7 @@ class Motion(eqx.Module):
         It rolls if it is held; on rubber an impulse ends its spin about the normal.
         """
         scene = self.scenes.rolling
-        if isinstance(scene.contact, RubberRolling):
+        if scene.contact.without_spin:
             held = spin_stopped(scene, t, y.rolling())
             parts = held.angular_velocity, held.alpha_dot
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)

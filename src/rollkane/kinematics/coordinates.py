@@ -6,7 +6,8 @@ pose is an output of the contact, so none of the spare ones can open a gap.
 """
 
 import dataclasses
-from typing import Any
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -15,7 +16,9 @@ from jaxtyping import Array, Float
 
 from ..geometry.rotations import quaternion_rates
 from ..geometry.small_linear import cross, dot, matvec
-from .contact import Contact
+from ..geometry.surfaces import AbstractSurface
+from .base_motion import BaseKinematics
+from .contact import Contact, flight, rolling_contact
 
 
 class State(eqx.Module):
@@ -39,11 +42,46 @@ class State(eqx.Module):
     alpha: Float[Array, " n"]
     alpha_dot: Float[Array, " n"]
 
+    touches: ClassVar[bool] = True  # its body is in contact
+    slips: ClassVar[bool] = False
+    in_charts: ClassVar[bool] = False
+
+    def contact(
+        self,
+        body: AbstractSurface,
+        base: AbstractSurface,
+        moving: Callable[[], BaseKinematics | None],
+        without_spin: bool,
+    ) -> Contact:
+        """Its contact.
+
+        Args:
+            body: The body's surface.
+            base: The base's.
+            moving: Gives how the base moves; None: it is at rest.
+            without_spin: Whether the body does not turn about the normal.
+        """
+        return self._contact(body, base, moving(), None, without_spin)
+
+    def _contact(self, body, base, moving, slip, without_spin) -> Contact:
+        return rolling_contact(
+            body,
+            base,
+            self.orientation,
+            self.angular_velocity,
+            self.contact_on_base,
+            self.contact_on_body,
+            moving,
+            slip,
+            without_spin=without_spin,
+        )
+
     def rates(
         self,
         contact: Contact,
         angular_acceleration: Float[Array, "3"],
         alpha_ddot: Float[Array, " n"],
+        point_acceleration: Float[Array, "3"] | None = None,
     ) -> "State":
         """Rates of every number of a state, as a state.
 
@@ -51,10 +89,12 @@ class State(eqx.Module):
             contact: Its contact, with the rates of the contact coordinates.
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
+            point_acceleration: None; a state that slips or flies has one.
 
         What of the state's velocities the contact does not allow, and so leaves out,
         goes along with the normal, so that it stays out.
         """
+        del point_acceleration
         if contact.spare_spin is not None:
             N, w = contact.normal, contact.angular_velocity
             assert contact.normal_rate is not None
@@ -91,12 +131,18 @@ class SlidingState(State):
 
     slip: Float[Array, "3"]
 
+    slips: ClassVar[bool] = True
+
+    def contact(self, body, base, moving, without_spin) -> Contact:
+        """Its contact; see :meth:`State.contact`."""
+        return self._contact(body, base, moving(), self.slip, without_spin)
+
     def rates(
         self,
         contact: Contact,
         angular_acceleration: Float[Array, "3"],
         alpha_ddot: Float[Array, " n"],
-        slip_acceleration: Float[Array, "3"] | None = None,
+        point_acceleration: Float[Array, "3"] | None = None,
     ) -> "SlidingState":
         """Rates of every number of a state, as a state.
 
@@ -104,7 +150,7 @@ class SlidingState(State):
             contact: Its contact, with the rates of the contact coordinates.
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
-            slip_acceleration: Along the surface, BODY axes [m/s^2].
+            point_acceleration: Along the surface, BODY axes [m/s^2].
 
         Source: docs/theory.md, (7.2); the slip stays on the surface as it turns.
         """
@@ -112,8 +158,8 @@ class SlidingState(State):
         slip, rate = contact.slip, contact.normal_rate
         assert slip is not None
         assert rate is not None
-        assert slip_acceleration is not None
-        change = slip_acceleration - contact.normal * dot(slip, rate)
+        assert point_acceleration is not None
+        change = point_acceleration - contact.normal * dot(slip, rate)
         assert contact.spare_slip is not None
         change = change + contact.spare_slip * rate
         moved = matvec(contact.rotation, change)
@@ -137,12 +183,20 @@ class FlyingState(State):
     position: Float[Array, "3"]
     velocity: Float[Array, "3"]
 
+    touches: ClassVar[bool] = False
+
+    def contact(self, body, base, moving, without_spin) -> Contact:
+        """What stands for a contact: its point is the body origin."""
+        del body, base, moving, without_spin
+        where = self.orientation, self.angular_velocity, self.position, self.velocity
+        return flight(*where)
+
     def rates(
         self,
         contact: Contact,
         angular_acceleration: Float[Array, "3"],
         alpha_ddot: Float[Array, " n"],
-        acceleration: Float[Array, "3"] | None = None,
+        point_acceleration: Float[Array, "3"] | None = None,
     ) -> "FlyingState":
         """Rates of every number of a state, as a state.
 
@@ -150,10 +204,10 @@ class FlyingState(State):
             contact: What stands for a contact: its point is the body origin.
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
-            acceleration: Of the body origin, BODY axes [m/s^2].
+            point_acceleration: Of the body origin, BODY axes [m/s^2].
         """
         turning = super().rates(contact, angular_acceleration, alpha_ddot)
-        assert acceleration is not None
+        assert point_acceleration is not None
         still = {
             "contact_on_base": jnp.zeros_like(self.contact_on_base),
             "contact_on_body": jnp.zeros_like(self.contact_on_body),
@@ -161,7 +215,7 @@ class FlyingState(State):
         return FlyingState(
             **(shared_parts(turning) | still),
             position=self.velocity,
-            velocity=matvec(contact.rotation, acceleration),
+            velocity=matvec(contact.rotation, point_acceleration),
         )
 
 

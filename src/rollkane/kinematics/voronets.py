@@ -5,6 +5,9 @@ constrained motion has, in any regular charts; near the edge of a chart they end
 mechanics is that of every other coordinate system: only the contact is described here.
 """
 
+from collections.abc import Callable
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -54,11 +57,27 @@ class VoronetsState(eqx.Module):
     alpha_dot: Float[Array, " n"]
     sign: int = eqx.field(static=True, default=-1)
 
+    touches: ClassVar[bool] = True
+    slips: ClassVar[bool] = False
+    in_charts: ClassVar[bool] = True
+
+    def contact(
+        self,
+        body: AbstractSurface,
+        base: AbstractSurface,
+        moving: Callable[[], BaseKinematics | None],
+        without_spin: bool,
+    ) -> "ChartContact":
+        """Its contact; see :meth:`rollkane.State.contact`."""
+        del without_spin
+        return chart_contact(body, base, self, moving())
+
     def rates(
         self,
         contact: Contact,
         angular_acceleration: Float[Array, "3"],
         alpha_ddot: Float[Array, " n"],
+        point_acceleration: Float[Array, "3"] | None = None,
     ) -> "VoronetsState":
         """Rates of every number of a state, as a state; NaN at the edge of a chart.
 
@@ -66,9 +85,11 @@ class VoronetsState(eqx.Module):
             contact: Its contact, with the rates of the chart coordinates.
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
+            point_acceleration: None: it rolls.
 
         Source: docs/theory.md, (5.1), ``(sigma', tau', n') = w'|e - (w - w_1) x w``.
         """
+        del point_acceleration
         assert isinstance(contact, ChartContact)
         w_1 = contact.frame_turn
         on_frame = matvec_transposed(contact.shell.frame, angular_acceleration)

@@ -22,7 +22,7 @@ from ..dynamics.rolling_problem import (
     has_margin,
     unbroken,
 )
-from ..dynamics.scene import Rolling, Scene, Slipping, under
+from ..dynamics.scene import Rolling, Scene, under
 from ..hybrid.hybrid_run import integrate_modes
 from ..hybrid.modes import Modes, of
 from ..integration.backends import check_method, run_by, without_native
@@ -349,8 +349,8 @@ def check_start(scene: Scene, start: AnyState) -> None:
         raise FieldError(
             "simulate.start", start, "must be a State", "make it with rollkane.place"
         )
-    slips = isinstance(scene.contact, Slipping)
-    if slips != isinstance(start, SlidingState):
+    slips = scene.contact.slips
+    if slips != start.slips:
         raise FieldError(
             "simulate.start",
             start,

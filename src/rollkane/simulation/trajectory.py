@@ -12,11 +12,11 @@ from jaxtyping import Array, Float, Int
 from ..dynamics import observables
 from ..dynamics.diagnosis import first_not_finite
 from ..dynamics.rolling import contact_force, contact_of, rolling_derivative
-from ..dynamics.scene import Scene, Slipping
+from ..dynamics.scene import Scene
 from ..geometry.rotations import in_one_sense, quaternion_of
 from ..geometry.small_linear import matvec, norm
 from ..hybrid.modes import Mode, ModedState, Switches, by_mode, in_modes
-from ..kinematics.coordinates import FlyingState, State
+from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState
 from ..validation.codes import NO_FAULT, Code, Fields
 
@@ -81,7 +81,7 @@ class Trajectory:
         """Whether it rolls, slips or flies, one of :class:`Mode`, shape (T,)."""
         if isinstance(self.state, ModedState):
             return self.state.mode
-        slips = isinstance(self.scene.contact, Slipping)
+        slips = self.scene.contact.slips
         return jnp.full(self.time.shape, Mode.SLIPPING if slips else Mode.ROLLING)
 
     @property
@@ -322,19 +322,19 @@ def _slip(scene: Scene, t, state) -> Float[Array, "3"]:
     contact = contact_of(scene, t, state)
     slip = contact.slip
     zero = jnp.zeros_like(contact.normal)
-    if isinstance(state, FlyingState):
+    if slip is None or not state.touches:
         return zero
-    return zero if slip is None else matvec(contact.rotation, slip)
+    return matvec(contact.rotation, slip)
 
 
 def _contact_on_body(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
     point = contact_of(scene, t, state).body_point
-    return jnp.full_like(point, jnp.nan) if isinstance(state, FlyingState) else point
+    return point if state.touches else jnp.full_like(point, jnp.nan)
 
 
 def _contact_on_base(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
     point = contact_of(scene, t, state).base_point
-    return jnp.full_like(point, jnp.nan) if isinstance(state, FlyingState) else point
+    return point if state.touches else jnp.full_like(point, jnp.nan)
 
 
 def _base_position(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
