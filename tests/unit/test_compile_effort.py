@@ -4,9 +4,14 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 from rollkane.codegen import compile_effort
-from rollkane.codegen.compile_effort import for_one_call, with_little_effort
+from rollkane.codegen.compile_effort import (
+    around_a_loop,
+    for_one_call,
+    with_little_effort,
+)
 
 double = for_one_call(lambda x: 2.0 * x)
 
@@ -29,6 +34,20 @@ def test_known_arguments_inside_a_trace_stay_known():
         return float(double(three)) * x
 
     assert times_six(2.0) == 12.0
+
+
+@pytest.mark.parametrize("first", [jax.jit, jax.grad])
+def test_around_a_loop_in_every_order(first):
+    """First inside of a trace, or of a derivative of something else, then outside."""
+    three = jnp.asarray(3.0)
+    times = around_a_loop(functools.partial(jax.jit, lambda x: 2.0 * x))
+    assert first(lambda x: times(three) * x)(three) in (18.0, 6.0)
+    assert jax.grad(lambda x: times(three) * times(x))(three) == 12.0
+    assert times(three) == 6.0
+    assert jax.grad(times)(three) == 2.0
+    assert (jax.vmap(times)(jnp.arange(2.0)) == jnp.array([0.0, 2.0])).all()
+    assert jax.jit(times)(three) == 6.0
+    assert times(three) == 6.0
 
 
 def test_options_that_a_release_does_not_know_are_left_out(monkeypatch):

@@ -53,23 +53,30 @@ def around_a_loop(jit: Callable) -> Callable:
     For what does little beside a loop in C; ``jit`` takes ``compiler_options``.
     """
     plain, quick = jit(), with_little_effort(jit)
+    outside: Any = None  # how JAX's state looks where nothing is traced, once known
 
     def call(*arguments: Any) -> Any:
-        return (quick if _by_itself(arguments) else plain)(*arguments)
+        nonlocal outside
+        now = None if _state is None else _state()
+        if (
+            now is None or now != outside
+        ):  # else it is known, in a twentieth of the time
+            if is_traced(arguments, jnp.zeros(())):
+                return plain(*arguments)
+            outside = now
+        try:
+            return quick(*arguments)
+        except ValueError as error:
+            if "compiler_options" not in str(error):
+                raise
+            outside = None  # within a derivative, of nothing that had a tangent then
+            return plain(*arguments)
 
     return call
 
 
-def _by_itself(arguments: Any) -> bool:
-    """Whether a function of these arguments would be a program of its own."""
-    if _trace is not None:  # in a twentieth of the time
-        return _trace() == _NO_TRACE
-    return not is_traced(arguments, jnp.zeros(()))
-
-
-# Not in all releases of jax.
-_trace = getattr(jax.extend.core, "get_opaque_trace_state", None)
-_NO_TRACE = _trace() if _trace else None
+# Of what JAX traces now; not in all of its releases.
+_state = getattr(jax.extend.core, "get_opaque_trace_state", None)
 
 
 def with_little_effort(jit: Callable) -> Callable:

@@ -2,6 +2,7 @@
 
 import functools
 import re
+import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -178,6 +179,7 @@ class _Target:
         self.name = f"rollkane_{program.key}"
         self._program = program
         self._known = False
+        self._lock = threading.Lock()
         beside = ThreadPoolExecutor(1)
         self._coming: Future | None = beside.submit(program.loaded)
         beside.shutdown(wait=False)
@@ -188,13 +190,14 @@ class _Target:
         Raises:
             NoCompilerError: it cannot be; another call tries once more.
         """
-        if self._known:
-            return
-        coming, self._coming = self._coming, None
-        library = self._program.loaded() if coming is None else coming.result()
-        capsule = jax.ffi.pycapsule(library.called_by_xla)
-        jax.ffi.register_ffi_target(self.name, capsule, platform="cpu")
-        self._known = True
+        with self._lock:
+            if self._known:
+                return
+            coming, self._coming = self._coming, None
+            library = self._program.loaded() if coming is None else coming.result()
+            capsule = jax.ffi.pycapsule(library.called_by_xla)
+            jax.ffi.register_ffi_target(self.name, capsule, platform="cpu")
+            self._known = True
 
 
 @functools.cache
