@@ -12,7 +12,7 @@ REPLACED = {
     r"\bfloors? (that|of|table)": "folder",
     r"given by (its|their) normal": "parametrized by its normal (inverse Gauss map)",
     r"carr(y|ies) (its|their) (contact )?point": "explicit contact coordinates",
-    r"carries_point": "has_contact_coordinates",
+    r"\.carries_point": "has_contact_coordinates",
     r"[Bb]rought ?back|BroughtBack": "projected",
     r"manieth": "n-th",
     r"motion that pulls": "tensile contact force",

@@ -58,9 +58,8 @@ def around_a_loop(jit: Callable) -> Callable:
     def call(*arguments: Any) -> Any:
         nonlocal outside
         now = None if _state is None else _state()
-        if (
-            now is None or now != outside
-        ):  # else it is known, in a twentieth of the time
+        # what is known already is known in a twentieth of the time
+        if now is None or now != outside:
             if is_traced(arguments, jnp.zeros(())):
                 return plain(*arguments)
             outside = now

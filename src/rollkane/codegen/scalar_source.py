@@ -130,7 +130,8 @@ def _in_memory(numbers: Numbers) -> tuple[str, int]:
     return f"shared + {first}", stride
 
 
-@functools.lru_cache(2**16)  # tables are looked up in several times
+# a record's numbers are looked up in some ten times: some 7 MB of short texts at most
+@functools.lru_cache(2**16)
 def _place(text: str) -> int | None:
     """Which of the shared numbers a text in C reads."""
     found = _PLACE.fullmatch(text)

@@ -221,6 +221,11 @@ class Scene(eqx.Module):
         )
 
     @property
+    def carries_point(self) -> bool:
+        """Former name of ``has_contact_coordinates``, for one release."""
+        return self.has_contact_coordinates
+
+    @property
     def coordinate_count(self) -> int:
         """Number n of coordinates alpha of all that is supported."""
         return sum(part.count for part in self.supported)

@@ -5,7 +5,7 @@ choose their mode takes a multiple of the time to trace, and keeps what all mode
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,8 +14,8 @@ from jaxtyping import Array, Float, PyTree
 
 from ..geometry.small_linear import dot, matvec
 from ..kinematics.coordinates import pack, unpack
-from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed, plain_cond
-from .transitions import Seen
+from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed
+from .transitions import Seen, plain_cond
 
 
 def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyTree:
@@ -50,10 +50,8 @@ def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyT
         own, cotangent = _through_step(make, varied, place, row, turn, cotangent)
         return i - 1, number, cotangent, jax.tree.map(jnp.add, of_varied, own)
 
-    cotangent, none = (
-        (t, last.parts, last.direction),
-        jax.tree.map(jnp.zeros_like, varied),
-    )
+    cotangent = t, last.parts, last.direction
+    none = jax.tree.map(jnp.zeros_like, varied)
     events = jnp.sum(record.steps[:, KIND] >= 0)
     carry = record.count - 1, events, cotangent, none
     *_, cotangent, of_varied = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
@@ -103,19 +101,18 @@ def _through_step(make: Callable, varied, place: Place, row, turn, cotangent):
     return total, (of_t, unpack(of_y, y), of_direction + more)
 
 
-@eqx.filter_custom_vjp
-def _chosen(operands, where, then: Callable, other: Callable):
-    return plain_cond(where, then, other, operands)
+# plain_cond, each branch of which is transposed by itself
+_cond = eqx.filter_custom_vjp(plain_cond)
 
 
-@_chosen.def_fwd
-def _chosen_forwards(perturbed, operands, where, then, other):
+@_cond.def_fwd
+def _cond_forwards(perturbed, operands, where, then, other):
     del perturbed
-    return _chosen(operands, where, then, other), None
+    return plain_cond(operands, where, then, other), None
 
 
-@_chosen.def_bwd
-def _chosen_backwards(residuals, cotangent, perturbed, operands, where, then, other):
+@_cond.def_bwd
+def _cond_backwards(residuals, cotangent, perturbed, operands, where, then, other):
     del residuals, perturbed
     moving, fixed = eqx.partition(operands, eqx.is_inexact_array)
 
@@ -126,11 +123,6 @@ def _chosen_backwards(residuals, cotangent, perturbed, operands, where, then, ot
         return lambda: jax.vjp(outputs, moving)[1](cotangent)[0]
 
     return jax.lax.cond(where, pulled(then), pulled(other))
-
-
-def _cond(where, then: Callable, other: Callable, operands: tuple) -> Any:
-    """``mode_replay.plain_cond``, each branch of which is transposed by itself."""
-    return _chosen(operands, where, then, other)
 
 
 class _Stages(NamedTuple):

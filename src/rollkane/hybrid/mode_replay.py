@@ -5,7 +5,7 @@ the way back.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
-from .modes import HybridState, Mode, ModedState, Switches
-from .transitions import Motion, Seen, Step
+from .modes import HybridState, ModedState, Switches
+from .transitions import Motion, Seen, Step, plain_cond
 
 
 class Path(NamedTuple):
@@ -226,17 +226,12 @@ def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Pla
     return behind(motion, place, row, turn, ends, end, last)
 
 
-def plain_cond(where, then: Callable, other: Callable, operands: tuple) -> Any:
-    """``jax.lax.cond``, with operands of any kind: all that the branches depend on."""
-    return jax.lax.cond(where, lambda: then(*operands), lambda: other(*operands))
-
-
 def behind(
     motion: Motion,
     place: Place,
     row,
     turn,
-    landed,
+    t,
     end,
     last: Seen,
     cond: Callable = plain_cond,
@@ -248,7 +243,7 @@ def behind(
         place: Where the step began.
         row: Of the record.
         turn: What was recorded of its event.
-        landed: When it ends [s].
+        t: When it ends [s].
         end: Its state there, as the stages led to it, in one array.
         last: What is seen there.
         cond: As :func:`plain_cond`: branches that take all that they depend on.
@@ -256,22 +251,15 @@ def behind(
     _, y, mode, direction = place
     begin, kind = row[_BEGIN], row[KIND].astype(int)
     event = kind >= 0
-    y = unpack(end, y)
-    values = last.values
-    if motion.lands:
-        gap = lambda motion, t, y, values: motion.gap(t, y)
-        kept = lambda motion, t, y, values: (values, y)
-        flown = motion, landed, y, values
-        values, y = cond(mode == Mode.FLYING, gap, kept, flown)
-
+    values, y = motion.with_gap(mode, t, unpack(end, y), last.values, cond)
     ends = event & motion.ends_slip(mode, kind)
-    begun = motion.has_begun(mode, direction, y, ends)
-    s = jnp.where(begun, last.way, turn[4:7])
+    fast = motion.has_begun(mode, direction, y, ends)
+    s = jnp.where(fast, last.way, turn[4:7])
     y = cond(
-        begun | ends,
-        lambda motion, t, y, s, begun: motion.straightened(s, t, y, begun),
-        lambda motion, t, y, s, begun: y,
-        (motion, landed, y, s, begun),
+        (motion, t, y, s, fast),
+        fast | ends,
+        lambda motion, t, y, s, fast: motion.straightened(s, t, y, fast),
+        lambda motion, t, y, s, fast: y,
     )
 
     def passed(motion, t, y, values, direction, mode, kind, turn):
@@ -287,7 +275,7 @@ def behind(
     def stays(motion, t, y, values, direction, mode, kind, turn):
         return t, mode, direction, y
 
-    known = motion, landed, y, values, direction, mode, kind, turn
-    t, mode, direction, y = cond(event, passed, stays, known)
+    known = motion, t, y, values, direction, mode, kind, turn
+    t, mode, direction, y = cond(known, event, passed, stays)
     shown = Place(t, y, mode, motion.along(mode, direction, y))
     return shown._replace(t=jnp.where(begin == row[_END], t, begin)), shown

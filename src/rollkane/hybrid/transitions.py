@@ -66,6 +66,11 @@ class Step(NamedTuple):
     turn: Float[Array, ""]
 
 
+def plain_cond(operands: tuple, where, then: Callable, other: Callable) -> Any:
+    """``jax.lax.cond``, with operands of any kind: all that the branches depend on."""
+    return jax.lax.cond(where, lambda: then(*operands), lambda: other(*operands))
+
+
 class Motion(eqx.Module):
     """Rates, events and changes of a scene in all its modes.
 
@@ -147,6 +152,7 @@ class Motion(eqx.Module):
     @property
     def by_mode(self) -> tuple[Callable, ...]:
         """:meth:`at` in each mode, by its number."""
+        # bound methods of a module hash their arrays, which JAX would ask them to
         return (
             lambda *where: self._rolls(*where),
             lambda *where: self._slips(*where),
@@ -203,17 +209,17 @@ class Motion(eqx.Module):
         """Whether a flight may end."""
         return self.modes.restitution is not None
 
-    def with_gap(self, mode, t, y: HybridState, values):
+    def with_gap(self, mode, t, y: HybridState, values, cond: Callable = plain_cond):
         """The events' values, and the state with the nearest points of a flight."""
         if not self.lands:
             return values, y
-        flies = mode == Mode.FLYING
-        return jax.lax.cond(flies, lambda: self.gap(t, y), lambda: (values, y))
 
-    def gap(self, t, y: HybridState):
-        """The events' values in flight, and the state with its nearest points."""
-        gap, state = nearest_anywhere(self.scenes.flying, t, y.flying())
-        return jnp.stack([gap, jnp.ones_like(gap)]), of(state)
+        def nearest(motion, t, y, values):
+            gap, state = nearest_anywhere(motion.scenes.flying, t, y.flying())
+            return jnp.stack([gap, jnp.ones_like(gap)]), of(state)
+
+        stays = lambda motion, t, y, values: (values, y)
+        return cond((self, t, y, values), mode == Mode.FLYING, nearest, stays)
 
     def along(self, mode, direction, y: HybridState):
         """Direction of the slip, where it is far above the law's smallest.

@@ -14,7 +14,8 @@ from jaxtyping import Array, Float
 from ..geometry.small_linear import norm
 from ..validation.checks import is_traced
 
-_MANY = 2**16  # bytes of times that are not remembered
+# Bytes of times that are not remembered: 256 of them are 16 MB at most.
+_MANY = 2**16
 
 
 class Landings(NamedTuple):
