@@ -154,6 +154,17 @@ def test_changes_of_the_contact_too():
     assert np.isnan(np.asarray(lost.state.parts.orientation)).all()
 
 
+def test_an_ensemble_with_changes_of_the_contact_names_the_field():
+    """Numbers of the modes stand before those of the start, and shift no name."""
+    scene = stone()
+    spins = jnp.asarray([[0.0, 1.0, 5.0], [0.0, jnp.nan, 0.0]])
+    place = lambda spin: rk.place(scene, LEVEL, spin, (0.0, 0.0, 0.0))
+    modes = rk.Modes(friction=0.5)
+    runs = rk.ensemble(scene, jax.vmap(place)(spins), TIMES, modes=modes)
+    assert runs.code.tolist() == [rk.Code.COMPLETED, rk.Code.BAD_START]
+    assert "start.angular_velocity is NaN" in " ".join(runs.reasons)
+
+
 def test_kane_systems_too():
     def run(mass):
         part = kane.Particle(mass, lambda t, q, u: [u[0], 0.0, 0.0])

@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import __version__
+from ..dynamics.scene import Scene
+from ..hybrid.modes import HybridScene
 from ..simulation.trajectory import Trajectory
 from .atomic_file import write_whole
 
@@ -109,8 +111,7 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         ),
     }
     attributes: dict[str, Any] = {
-        "title": "motion of a rigid body that "
-        + ("slips" if scene.contact.slips else "rolls without slipping"),
+        "title": f"motion of a rigid body that {_contact(scene)}",
         "rollkane_version": __version__,
         "axes_note": "right-handed; base axes "
         + ("by base_rotation" if moving else "coincide with the fixed axes"),
@@ -177,3 +178,10 @@ def _labels(long_name: str, units: str, axes: str) -> dict[str, str]:
 def _ends(trajectory: Trajectory) -> dict[str, np.ndarray]:
     names = ("code", "steps", "rejected_steps", "final_time")
     return {name: np.asarray(getattr(trajectory, name)) for name in names}
+
+
+def _contact(scene: Scene) -> str:
+    """What the body does at its contact, for a title."""
+    if isinstance(scene, HybridScene):
+        return "changes between rolling, slipping and flight"
+    return "slips" if scene.contact.slips else "rolls without slipping"

@@ -21,7 +21,6 @@ from ..dynamics.clearance import code_of_touch, reach_of
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
-from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.integrate import in_order
 from ..integration.step_control import Stops, landings
@@ -31,7 +30,7 @@ from ..validation.codes import NO_FAULT, Code, first_fault, is_stuck
 from .mode_adjoint import pulled_back
 from .mode_loop import Loop, Run, as_it_is
 from .mode_replay import Path, Place, replayed
-from .modes import Mode, ModedState, Switches, in_modes, of, slipping
+from .modes import HybridScene, Mode, ModedState, Switches, of, slipping
 from .transitions import Motion
 
 
@@ -61,7 +60,7 @@ class HybridOutcome(eqx.Module):
 
 
 def integrate_modes(
-    scene: Scene,
+    scene: HybridScene,
     start: State,
     times,
     stops: Stops,
@@ -76,7 +75,7 @@ def integrate_modes(
     """Integrate through all changes of the mode, to the asked times.
 
     Args:
-        scene: With ``Modes`` for its contact.
+        scene: With the modes of its contact.
         start: A state that rolls, slips or flies.
         times: Output times [s], increasing.
         stops: Where the run stops on them.
@@ -97,7 +96,7 @@ def integrate_modes(
     increasing = in_order(times) & ~(times[0] > times[-1])
     fault, code_of_fault = first_fault(scene, of(start), increasing)
     good = fault == NO_FAULT
-    rolling = in_modes(scene).rolling
+    rolling = scene.in_modes.rolling
     start = of(consistent(rolling, jax.lax.stop_gradient(times[0]), start))
     # NaN would keep the step controller going for ever; zero stops it at the start
     start = jax.tree.map(lambda x: cleared(x, good), start)
@@ -132,7 +131,7 @@ class _Runs(NamedTuple):
         """Motion, state and times."""
         scene, y, times, *_ = inputs
         tableau = tableau_of(self.solver, times.dtype)
-        return Motion(in_modes(scene), scene.contact, tableau), y, times
+        return Motion(scene.in_modes, scene.modes, tableau), y, times
 
     def stepped(self, inputs: tuple, recording: bool) -> tuple:
         """A run by adaptive steps, and its record."""

@@ -1,8 +1,6 @@
-"""What a contact may do in a run that changes: roll, slip, fly; and its states.
+"""What a contact may do in a run that changes: roll, slip, fly; and its states."""
 
-A scene whose contact is ``Modes`` has three scenes in it, one for each mode.
-"""
-
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -12,15 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..dynamics.directed_friction import DirectedFriction
-from ..dynamics.scene import (
-    AbstractContactLaw,
-    Flying,
-    Rolling,
-    RubberRolling,
-    Scene,
-    Slipping,
-    under,
-)
+from ..dynamics.scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec_transposed
 from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
@@ -38,7 +28,7 @@ class Mode:
 IMPACT_LAWS = ("energetic", "newton")
 
 
-class Modes(AbstractContactLaw):
+class Modes(eqx.Module):
     """How a run may change between rolling, slipping and flight.
 
     Attributes:
@@ -49,10 +39,8 @@ class Modes(AbstractContactLaw):
         rest_speed: Slower rebounds stay in contact [m/s].
         impact: Law of restitution, ``"energetic"`` or ``"newton"``.
         switches: How many changes are kept; a run with more ends.
-        contact: How it rolls, where it rolls: that of the scene that is simulated.
     """
 
-    contact: Rolling
     friction: Float[Array, ""] | None
     static_friction: Float[Array, ""] | None
     restitution: Float[Array, ""] | None
@@ -97,7 +85,6 @@ class Modes(AbstractContactLaw):
             FieldError: negative numbers, a restitution above one, sticking that holds
                 less than sliding, an unknown law.
         """
-        self.contact = Rolling()
         self.friction = self.static_friction = self.restitution = None
         if friction is not None:
             unit = "without unit"
@@ -139,6 +126,52 @@ class Modes(AbstractContactLaw):
     def does_work(self) -> bool:
         """Whether slips or landings may take energy."""
         return self.friction is not None or self.restitution is not None
+
+
+class HybridScene(Scene):
+    """A scene whose contact may change between rolling, slipping and flight.
+
+    Its contact law is how it rolls, where it rolls.
+
+    Attributes:
+        modes: How the contact may change.
+    """
+
+    modes: Modes
+
+    def __init__(self, scene: Scene, modes: Modes):
+        """Make one of a scene.
+
+        Args:
+            scene: Of one contact law; one that slips rolls by ``Rolling()``.
+            modes: How the contact may change.
+        """
+        for field in dataclasses.fields(Scene):
+            setattr(self, field.name, getattr(scene, field.name))
+        if not isinstance(scene.contact, Rolling):
+            self.contact = Rolling()
+        self.modes = modes
+
+    @property
+    def does_work(self) -> bool:
+        """Whether anything but the base's motion may change the energy."""
+        return super().does_work or self.modes.does_work
+
+    @property
+    def in_modes(self) -> "Scenes":
+        """It as it rolls, where the contact may end or not, and as it flies."""
+        law = self.contact
+        if self.modes.lifts:
+            law = _RubberThatLifts() if law.without_spin else _RollingThatLifts()
+        kept = tuple(load for load in self.loads if not load.needs_contact)
+        return Scenes(under(self, law), under(self, Flying(), kept))
+
+
+class Scenes(NamedTuple):
+    """A scene in every mode."""
+
+    rolling: Scene
+    flying: Scene
 
 
 class _RollingThatLifts(Rolling):
@@ -184,24 +217,6 @@ def of(state: Any) -> HybridState:
     names = "slip", "position", "velocity"
     own = {name: getattr(state, name, zero) for name in names}
     return HybridState(**shared_parts(state), **own)
-
-
-class Scenes(NamedTuple):
-    """A scene in every mode."""
-
-    rolling: Scene
-    flying: Scene
-
-
-def in_modes(scene: Scene) -> Scenes:
-    """A scene whose contact is ``Modes``, as it rolls and as it flies."""
-    assert isinstance(scene.contact, Modes)
-    kept = tuple(load for load in scene.loads if not load.needs_contact)
-    law = scene.contact.contact
-    if scene.contact.lifts:
-        rubber = law.without_spin
-        law = _RubberThatLifts() if rubber else _RollingThatLifts()
-    return Scenes(under(scene, law), under(scene, Flying(), kept))
 
 
 def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
@@ -259,10 +274,8 @@ def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
         observable: Function of a scene, the time [s] and a state.
     """
 
-    def seen(scene: Scene, t: Array, state: ModedState) -> Any:
-        modes, y = scene.contact, state.parts
-        assert isinstance(modes, Modes)
-        scenes = in_modes(scene)
+    def seen(scene: HybridScene, t: Array, state: ModedState) -> Any:
+        modes, scenes, y = scene.modes, scene.in_modes, state.parts
         found = [observable(scenes.rolling, t, y.rolling())]
         slips = found[0]
         if modes.friction is not None:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from ..codegen import NoCompilerError
 from ..dynamics.scene import Scene
-from ..hybrid.modes import Modes
+from ..hybrid.modes import HybridScene, Modes
 from ..integration.backends import METHODS
 from ..integration.integrate import (
     checked_times,
@@ -214,8 +214,10 @@ class _Run:
         self.observe = observe
         example = self.members.example
         self.example = jax.eval_shape(example) if self.traced else example()
-        self.fields = Fields.of(self.example[0], self.example[1])
-        dtype = self.example[1].angular_velocity.dtype
+        scene, start = self.example
+        scene = scene if modes is None else HybridScene(scene, modes)
+        self.fields = Fields.of(scene, start)
+        dtype = start.angular_velocity.dtype
         self.times = checked_times(times, dtype)
         known, _ = tolerances(rtol, atol, dtype)
         self.rtol, self.atol = known, atol

@@ -22,9 +22,9 @@ from ..dynamics.rolling_problem import (
     has_margin,
     unbroken,
 )
-from ..dynamics.scene import Rolling, Scene, under
+from ..dynamics.scene import Rolling, Scene
 from ..hybrid.hybrid_run import integrate_modes
-from ..hybrid.modes import Modes, of
+from ..hybrid.modes import HybridScene, Modes, of
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.integrate import (
     Outcome,
@@ -233,10 +233,7 @@ def _simulate_modes(
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
     check_steps(max_steps, None)
-    law = scene.contact if isinstance(scene.contact, Rolling) else Rolling()
-    rolls = lambda x: isinstance(x, Rolling)
-    modes = eqx.tree_at(lambda m: m.contact, modes, law, is_leaf=rolls)
-    scene = under(scene, modes)
+    scene = HybridScene(scene, modes)
     run = functools.partial(
         _run_modes,
         scene,

@@ -15,7 +15,7 @@ from ..dynamics.rolling import contact_force, contact_of, rolling_derivative
 from ..dynamics.scene import Scene
 from ..geometry.rotations import in_one_sense, quaternion_of
 from ..geometry.small_linear import matvec, norm
-from ..hybrid.modes import Mode, ModedState, Switches, by_mode, in_modes
+from ..hybrid.modes import HybridScene, Mode, ModedState, Switches, by_mode
 from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState
 from ..validation.codes import NO_FAULT, Code, Fields
@@ -98,7 +98,8 @@ class Trajectory:
         """
         start, scene = self.final_state, self.scene
         if isinstance(start, ModedState):
-            start, scene = start.parts, in_modes(scene).rolling
+            assert isinstance(scene, HybridScene)
+            start, scene = start.parts, scene.in_modes.rolling
         if int(self.code) == Code.BAD_START and int(self.fault) == NO_FAULT:
             return first_not_finite(scene, self.final_time, start)
         return Fields.of(self.scene, start).reason(self.code, self.fault)
