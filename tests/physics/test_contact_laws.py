@@ -140,13 +140,7 @@ def twin(scene, t, state, force, moment):
     return rates.u[:-2], jax.jvp(slip_of, (t, own.q, along), moved)[1]
 
 
-FAST = {"Stribeck, dry resistance"}
-
-
-@pytest.mark.parametrize(
-    "law",
-    [pytest.param(k, marks=() if k in FAST else pytest.mark.slow) for k in LAWS],
-)
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize(
     "case",
     [

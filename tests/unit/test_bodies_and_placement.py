@@ -58,7 +58,15 @@ def test_bad_bodies(name):
 
 
 def test_a_flat_disc_is_at_the_limit_and_allowed():
-    body(inertia=np.diag([0.0225, 0.0225, 0.045]))
+    """Its largest principal moment is the sum of the others, and may not be more."""
+    disc = body(inertia=np.diag([0.0225, 0.0225, 0.045]))
+    np.testing.assert_array_equal(disc.inertia, np.diag([0.0225, 0.0225, 0.045]))
+    start = rk.place(rk.Scene(disc), LEVEL, [0.3, 0.2, 1.0], ORIGIN)
+    assert np.isfinite(
+        rk.rolling_derivative(rk.Scene(disc), 0.0, start).orientation
+    ).all()
+    with pytest.raises(rk.FieldError, match="inertia"):
+        body(inertia=np.diag([0.0225, 0.0225, 0.04501]))
 
 
 BAD_SCENES = {

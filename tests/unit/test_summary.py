@@ -1,6 +1,10 @@
 """The summary of a run, and where a sampled function changes its sign."""
 
+import re
+
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 from rollkane.files.scene_files import load_scene
 from rollkane.pictures.summary import sign_changes, summary
@@ -37,19 +41,48 @@ def test_a_touch_and_a_sample_at_zero():
     assert sign_changes(time, time - 2, np.ones(3)).size == 0
 
 
+def listed(text: str, pattern: str) -> list[float]:
+    """Numbers of the first match of a pattern."""
+    found = re.search(pattern, text)
+    assert found, (pattern, text)
+    return [float(x) for x in re.split(r",? +", found[1].strip())]
+
+
 def test_summary():
+    """What is told of the stone, against differences of the positions of its run."""
     file = load_scene("rattleback")
-    times = np.linspace(0, 3, 301)
-    text = "\n".join(summary(simulate(file.scene, file.start, times, rtol=1e-10)))
-    text = " ".join(text.split())
-    for part in (
-        "spin +4.99962 ->",
-        "reversals 2.7611, 2.7803,",
-        "about body axis z reversals",
-        "energy drift",
-        "accepted,",
-        "normal force 1.683 N at least, t = 2.49 s",
-        "friction needed 0.7608 at most, t = 0.45 s",
-    ):
-        assert part in text
+    step = 1e-4  # [s]: two reversals are 0.3 ms apart
+    run = simulate(file.scene, file.start, np.arange(30001) * step, rtol=1e-10)
+    text = " ".join("\n".join(summary(run)).split())
+    time, spin = np.asarray(run.time), np.asarray(run.angular_velocity)[:, 2]
+    (turns,) = np.nonzero(spin[:-1] * spin[1:] < 0)
+    # linear between samples: off by step^2 w'' / (8 w'), where w'' / w' is 2 / (0.3 ms)
+    # between two so near; and rounded to 1e-4 s
+    when = time[turns] - spin[turns] * step / (spin[turns + 1] - spin[turns])
+    told = listed(text, r"about the normal reversals ([\d., ]+) s")
+    np.testing.assert_allclose(told, when, rtol=0, atol=step**2 / 1.2e-3 + 5e-5)
+    ends = re.search(r"spin (\S+) -> (\S+) rad/s about the normal", text)
+    assert ends
+    told = [float(end) for end in ends.groups()]
+    np.testing.assert_allclose(told, spin[[0, -1]], rtol=1e-5)
+    # the force by second differences over 1 ms, of a mass centre that rocks at less
+    # than 120 rad/s with up to 10 m/s^2: off by (w h)^2 / 12 of it
+    body, gravity = file.scene.body, np.array([0.0, 0.0, 9.81])
+    turned = Rotation.from_quat(np.asarray(run.orientation)[::10, [1, 2, 3, 0]])
+    arm = turned.apply(np.array(body.center_of_mass))
+    step, mass, centre = 10 * step, float(body.mass), run.position[::10] + arm
+    acceleration = np.diff(centre, n=2, axis=0) / step**2
+    force = mass * (acceleration + gravity)
+    off = mass * 10.0 * (120.0 * step) ** 2 / 12
+    (least,) = listed(text, r"normal force ([\d.]+) N at least")
+    assert abs(least - force[:, 2].min()) < off + 5e-4
+    needed = np.linalg.norm(force[:, :2], axis=1) / force[:, 2]
+    (most,) = listed(text, r"friction needed ([\d.]+) at most")
+    assert abs(most - needed.max()) < 2 * off / force[needed.argmax(), 2] + 5e-5
+    (drift,) = listed(text, r"energy drift ([\de.+-]+)")
+    energy = np.asarray(run.energy)
+    assert drift == pytest.approx(np.abs(energy / energy[0] - 1).max(), rel=0.05)
+    counts = listed(text, r"steps (\d+) accepted"), listed(text, r"(\d+) rejected")
+    assert counts == ([int(run.steps)], [int(run.rejected_steps)])
+    assert "about body axis z reversals" in text
     assert "pull" not in text
