@@ -6,7 +6,7 @@ is the same memory, unless it may be changed in place.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -15,6 +15,11 @@ import numpy as np
 from .data_movement import Numbers, as_objects
 from .scalars import IN_C, Number, in_c, type_of
 from .statement_writer import Writer
+
+Index = tuple[int | str, ...]  # of a number in an array: known, or a text in C
+
+
+Look = Callable[[np.ndarray], np.ndarray]  # at an array, in another order
 
 
 class Memory(NamedTuple):
@@ -48,13 +53,14 @@ class Memory(NamedTuple):
 
     def is_at(self, other: "Memory") -> bool:
         """Whether its numbers are those of another."""
-        place = lambda x: (x.base, x.offset, x.strides)
+        place: Callable[[Memory], object] = lambda x: (x.base, x.offset, x.strides)
         return place(self) == place(other)
 
-    def at(self, index: Sequence[Any]) -> str:
+    def at(self, index: Sequence[int | str]) -> str:
         """One of its numbers, in C; an index is a number or a text."""
         pairs = zip(index, self.strides, strict=True)
-        terms, constant = [], self.offset
+        terms: list[str] = []
+        constant = self.offset
         for i, stride in pairs:
             if isinstance(i, int):
                 constant += i * stride
@@ -70,7 +76,7 @@ class Memory(NamedTuple):
         strides = tuple(0 if n == 1 != m else s for s, n, m in pairs)
         return self._replace(shape=shape, strides=strides)
 
-    def looked_at(self, function: Callable[[np.ndarray], np.ndarray]) -> "Memory":
+    def looked_at(self, function: Look) -> "Memory":
         """What a function of arrays that computes nothing makes of it: no copy."""
         # addresses of an array as large, whose strides tell those of the result
         first = np.lib.stride_tricks.as_strided(
@@ -113,7 +119,7 @@ class Arrays:
         return Memory(place, kind, shape, packed(shape), owned=True)
 
     @contextmanager
-    def loops(self, shape: tuple[int, ...]) -> Iterator[tuple]:
+    def loops(self, shape: tuple[int, ...]) -> Generator[Index, None, None]:
         """A loop over each axis; gives the indices, in C."""
         names = [f"i{next(self._loops)}" for _ in shape]
         heads = [
@@ -160,12 +166,12 @@ class Arrays:
         ]
         return as_objects(found, memory.shape)
 
-    def number_at(self, memory: Memory, index: Sequence[Any]) -> Number:
+    def number_at(self, memory: Memory, index: Sequence[int | str]) -> Number:
         """One number of an array in memory."""
         text = value_of(memory.at(index), memory.type)
         return self.writer.let(text, memory.type, True)
 
-    def filled(self, to: Memory, value: Callable[[tuple], Any]) -> Memory:
+    def filled(self, to: Memory, value: Callable[[Index], Any]) -> Memory:
         """An array whose number at an index is this one."""
         with self.loops(to.shape) as index:
             self.writer.line(f"{to.at(index)} = {in_c(value(index)).text};")

@@ -1,16 +1,20 @@
 """What operations of a traced program are to arrays in memory."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from .array_memory import Memory
-from .scalar_program import ELEMENTWISE, REDUCTIONS, NotElementwiseError
+from .array_memory import Index, Look, Memory
+from .jaxpr_types import Aval, Equation, Params
+from .memory_walk import MemoryWalk, Value
+from .scalar_program import ELEMENTWISE, REDUCTIONS, Axes, NotElementwiseError
 from .scalars import Number, in_c, type_of
 
 
-def in_memory(walk: Any, equation: Any, inputs: list) -> list:
+def in_memory(
+    walk: MemoryWalk, equation: Equation, inputs: list[Value]
+) -> list[Memory]:
     """Results of an equation with arrays in memory.
 
     Args:
@@ -45,20 +49,27 @@ def in_memory(walk: Any, equation: Any, inputs: list) -> list:
         return [_contracted(walk, a, b, params["dimension_numbers"], aval)]
     if name == "iota":
         to = walk.arrays.new(aval.shape, type_of(aval.dtype))
-        at = lambda index: in_c(_index(index[params["dimension"]]))
+        axis: int = params["dimension"]
+        at: Callable[[Index], Number] = lambda index: in_c(_index(index[axis]))
         return [walk.arrays.filled(to, at)]
     raise NotElementwiseError(f"{name} of {aval.shape}")
 
 
-def _index(i: Any) -> Any:
+def _index(i: int | str) -> Any:
     """An index of a loop as a number."""
     return np.int64(i) if isinstance(i, int) else Number(i, "whole")
 
 
-def _elementwise(walk, name, params, inputs, equation) -> Memory:
+def _elementwise(
+    walk: MemoryWalk,
+    name: str,
+    params: Params,
+    inputs: list[Value],
+    equation: Equation,
+) -> Memory:
     aval = equation.outvars[0].aval
     shape, kind = aval.shape, type_of(aval.dtype)
-    operands = []
+    operands: list[Any] = []
     for x, v in zip(inputs, equation.invars, strict=True):
         if isinstance(x, Memory) or x.size > 1:
             place = walk.arrays.in_memory(x, type_of(v.aval.dtype))
@@ -76,7 +87,7 @@ def _elementwise(walk, name, params, inputs, equation) -> Memory:
     return to
 
 
-def _joined_index(kept, along, axes) -> tuple:
+def _joined_index(kept: Index, along: Index, axes: Axes) -> Index:
     """An index of an array, of those that are kept and those along some axes."""
     rest, own = iter(kept), dict(zip(axes, along, strict=True))
     return tuple(
@@ -87,7 +98,7 @@ def _joined_index(kept, along, axes) -> tuple:
 _NONE = {"add": 0, "mul": 1}  # what a sum and a product of nothing are
 
 
-def _reduced(walk, name: str, x: Memory, axes: Any, aval: Any) -> Any:
+def _reduced(walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval) -> Memory:
     """Sums, largest numbers and so on."""
     arrays = walk.arrays
     kind, along = type_of(aval.dtype), tuple(x.shape[k] for k in axes)
@@ -105,24 +116,24 @@ def _reduced(walk, name: str, x: Memory, axes: Any, aval: Any) -> Any:
     return to
 
 
-def _view(walk, x: Memory, function: Callable) -> Memory:
+def _view(walk: MemoryWalk, x: Memory, function: Look) -> Memory:
     return x.looked_at(function)
 
 
-def _sliced(x: Any, params: Any) -> Any:
+def _sliced(x: np.ndarray, params: Params) -> np.ndarray:
     starts, limits = params["start_indices"], params["limit_indices"]
     strides = params["strides"] or (1,) * len(starts)
     return x[tuple(map(slice, starts, limits, strides))]
 
 
-def _broadcast(x: Any, params: Any) -> Any:
+def _broadcast(x: np.ndarray, params: Params) -> np.ndarray:
     spread = [1] * len(params["shape"])
     for axis, size in zip(params["broadcast_dimensions"], x.shape, strict=True):
         spread[axis] = size
     return np.broadcast_to(_reshaped(x, spread), params["shape"])
 
 
-def _reshaped(x: Any, shape: Any) -> Any:
+def _reshaped(x: np.ndarray, shape: Sequence[int]) -> np.ndarray:
     """With axes of length one put in or left out: strides only, whatever they are."""
     kept = [s for s, n in zip(x.strides, x.shape, strict=True) if n != 1]
     sizes = iter(kept)
@@ -130,7 +141,7 @@ def _reshaped(x: Any, shape: Any) -> Any:
     return np.lib.stride_tricks.as_strided(x, shape, strides, writeable=False)
 
 
-_VIEWS: dict[str, Callable] = {
+_VIEWS: dict[str, Callable[[np.ndarray, Params], np.ndarray]] = {
     "broadcast_in_dim": _broadcast,
     "expand_dims": lambda x, p: np.expand_dims(x, p["dimensions"]),
     "rev": lambda x, p: np.flip(x, p["dimensions"]),
@@ -140,29 +151,35 @@ _VIEWS: dict[str, Callable] = {
 }
 
 
-def in_shape(walk, x: Memory, shape: tuple[int, ...]) -> Memory:
+def in_shape(walk: MemoryWalk, x: Memory, shape: tuple[int, ...]) -> Memory:
     """The same numbers in another shape."""
     if not x.is_packed:
         x = walk.arrays.copied(x)
     return x.looked_at(lambda a: a.reshape(shape))
 
 
-def _reshape(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+def _reshape(
+    walk: MemoryWalk, stored: list[Memory], params: Params, aval: Aval
+) -> Memory:
     del params
     return in_shape(walk, stored[0], aval.shape)
 
 
-def _concatenated(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+def _concatenated(
+    walk: MemoryWalk, stored: list[Memory], params: Params, aval: Aval
+) -> Memory:
     return _laid(walk, stored, params["dimension"], aval)
 
 
-def _stacked(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+def _stacked(
+    walk: MemoryWalk, stored: list[Memory], params: Params, aval: Aval
+) -> Memory:
     axis = params["axis"]
     rows = [x.looked_at(lambda a: np.expand_dims(a, axis)) for x in stored]
     return _laid(walk, rows, axis, aval)
 
 
-def _laid(walk, stored: list[Memory], axis: int, aval: Any) -> Memory:
+def _laid(walk: MemoryWalk, stored: list[Memory], axis: int, aval: Aval) -> Memory:
     """One beside the other along an axis."""
     to, first = walk.arrays.new(aval.shape, type_of(aval.dtype)), 0
     for x in stored:
@@ -175,12 +192,14 @@ def _laid(walk, stored: list[Memory], axis: int, aval: Any) -> Memory:
     return to
 
 
-def _padded(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+def _padded(
+    walk: MemoryWalk, stored: list[Memory], params: Params, aval: Aval
+) -> Memory:
     x, filling = stored
     to = walk.arrays.new(aval.shape, type_of(aval.dtype))
     one = Number(filling.at((0,) * len(filling.shape)), filling.type)
     walk.arrays.filled(to, lambda index: one)
-    here = []
+    here: list[tuple[int, int]] = []
     for low, high, between in params["padding_config"]:
         if low < 0 or high < 0:
             raise NotElementwiseError("negative padding")
@@ -193,7 +212,9 @@ def _padded(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
     return to
 
 
-def _tiled(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
+def _tiled(
+    walk: MemoryWalk, stored: list[Memory], params: Params, aval: Aval
+) -> Memory:
     (x,), to = stored, walk.arrays.new(aval.shape, type_of(aval.dtype))
     count = len(x.shape)
     parts = [n for pair in zip(params["reps"], x.shape, strict=True) for n in pair]
@@ -204,7 +225,8 @@ def _tiled(walk, stored: list[Memory], params: Any, aval: Any) -> Memory:
     return to
 
 
-_JOINED: dict[str, Callable] = {
+_Joined = Callable[[MemoryWalk, list[Memory], Params, Aval], Memory]
+_JOINED: dict[str, _Joined] = {
     "concatenate": _concatenated,
     "pad": _padded,
     "reshape": _reshape,
@@ -213,21 +235,26 @@ _JOINED: dict[str, Callable] = {
 }
 
 
-def _split(walk, x: Memory, params: Any) -> list[Memory]:
+def _split(walk: MemoryWalk, x: Memory, params: Params) -> list[Memory]:
     cuts, axis = np.cumsum(params["sizes"])[:-1], params["axis"]
     count = len(params["sizes"])
+    part: Callable[[int], Look]
     part = lambda k: lambda a: np.split(a, cuts, axis)[k]
     return [_view(walk, x, part(k)) for k in range(count)]
 
 
-def _unstacked(walk, x: Memory, axis: int) -> list[Memory]:
+def _unstacked(walk: MemoryWalk, x: Memory, axis: int) -> list[Memory]:
+    row: Callable[[int], Look]
     row = lambda i: lambda a: np.moveaxis(a, axis, 0)[i, ...]
     return [_view(walk, x, row(i)) for i in range(x.shape[axis])]
 
 
-def _contracted(walk, a: Memory, b: Memory, numbers: Any, aval: Any) -> Memory:
+def _contracted(
+    walk: MemoryWalk, a: Memory, b: Memory, numbers: Any, aval: Aval
+) -> Memory:
     """Sums of products over some axes, for each place along others."""
     (over_a, over_b), (each_a, each_b) = numbers
+    free: Callable[[Memory, Axes, Axes], list[int]]
     free = lambda x, over, each: [
         k for k in range(len(x.shape)) if k not in (*over, *each)
     ]

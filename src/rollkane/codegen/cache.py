@@ -47,7 +47,7 @@ def loaded(key: str, make: Callable[[Path], None]) -> ctypes.CDLL:
     Raises:
         UnusableError: neither folder serves; its cause is the last failure.
     """
-    failures = []
+    failures: list[OSError] = []
     for folder in (cache_folder, private_folder):
         try:
             return _opened(_entry(folder(), key, make))

@@ -24,7 +24,7 @@ _LITTLE_EFFORT = {
 }
 
 
-def for_one_call(function: Callable) -> Callable:
+def for_one_call(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function compiled with little effort, wherever it is not part of a program.
 
     Inside of ``jit`` it is the function itself. Where ``vmap`` or a derivative is taken
@@ -47,7 +47,7 @@ def for_one_call(function: Callable) -> Callable:
     return call
 
 
-def around_a_loop(jit: Callable) -> Callable:
+def around_a_loop(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:
     """``jit()``'s function, with little effort where it is a program of its own.
 
     For what does little beside a loop in C; ``jit`` takes ``compiler_options``.
@@ -78,7 +78,7 @@ def around_a_loop(jit: Callable) -> Callable:
 _state = getattr(jax.extend.core, "get_opaque_trace_state", None)
 
 
-def with_little_effort(jit: Callable) -> Callable:
+def with_little_effort(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:
     """``jit(compiler_options=...)``, with those options that this release of jax knows.
 
     To be called outside of ``jit`` and of derivatives.

@@ -8,12 +8,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax.typing import DTypeLike
 
 from .cache import UnusableError, loaded, private_folder
 
@@ -65,7 +67,9 @@ def _compiler(chosen: str | None) -> _Compiler:
     )
 
 
-def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
+def program_of(
+    dtype: DTypeLike, lanes: int, head: Mapping[str, int], parts: Iterable[str]
+) -> str:
     """A C program for some numbers in a row.
 
     Args:
@@ -86,8 +90,9 @@ def program_of(dtype: Any, lanes: int, head: dict[str, int], parts: Any) -> str:
     }
     lines += [f"#define {name} {value}" for name, value in known.items()]
     folder = files("rollkane.codegen")
-    named = lambda part: part.endswith((".c", ".h"))
-    lines += [folder.joinpath(x).read_text() if named(x) else x for x in parts]
+    is_file: Callable[[str], bool]
+    is_file = lambda part: part.endswith((".c", ".h"))
+    lines += [folder.joinpath(x).read_text() if is_file(x) else x for x in parts]
     return "\n".join(lines)
 
 
@@ -182,7 +187,7 @@ def _places(own: Path, kept: Path) -> dict[str, str]:
 
 def _run(
     command: tuple[str, ...], text: str = "", places: dict[str, str] | None = None
-) -> subprocess.CompletedProcess:
+) -> subprocess.CompletedProcess[bytes]:
     """Ask a compiler, and wait for its answer."""
     environment = None if places is None else os.environ | places
     try:

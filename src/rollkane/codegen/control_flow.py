@@ -6,21 +6,24 @@ A branch that is not taken costs nothing, a loop has its body once.
 
 import math
 import operator
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeGuard
 
 import numpy as np
 from jax.extend import core
+from jax.typing import DTypeLike
 
-from .array_memory import Arrays, Memory
+from .array_memory import Index, Memory
 from .array_operations import in_memory, in_shape
 from .data_movement import as_objects, numbers_of
-from .indexed_operations import OPERATIONS, WRITING
-from .scalar_program import NotElementwiseError, Walk, program_of
-from .scalars import Number, expression, in_c, type_of
-from .statement_writer import Target, Writer
+from .indexed_operations import OPERATIONS
+from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Literal, Variable
+from .loop_carry import Carry
+from .memory_walk import SMALL, MemoryWalk, Value, kept
+from .scalar_program import NotElementwiseError, program_of
+from .scalars import Number, in_c, type_of
+from .statement_writer import Block, Target
 
-# numbers of an array that are written one by one
-SMALL = 32
 # numbers of a loop of known length that is written out
 _WRITTEN_OUT = 300
 # equations of a branch that is computed whether it is taken or not
@@ -29,38 +32,28 @@ _CHEAP = 4
 _AGAIN = ("remat", "checkpoint", "remat2")
 _WITH_PROGRAMS = ("while", "scan", "cond", *_AGAIN)
 
-Value = Any  # Numbers or Memory
+_Written = list[tuple[Block, list[Value]]]  # branches, and what each of them gives
 
 
-class Structured(Walk):
+class Structured(MemoryWalk):
     """One way through a traced program, which writes it in C.
 
     Attributes:
         homes: Where larger arrays are left in the end that a loop makes.
-        writer: What is written.
-        arrays: Its arrays in memory.
     """
 
-    def __init__(self, dtype: Any):
+    def __init__(self, dtype: DTypeLike):
         """An empty program of real numbers of this type."""
-        super().__init__(self._operate)
-        self.small = SMALL
-        self.homes: dict[Any, Memory] = {}
-        self.dtype = np.dtype(dtype)
-        self.writer = Writer()
-        self.arrays = Arrays(self.writer)
+        super().__init__(dtype)
+        self.homes: dict[Variable, Memory] = {}
 
-    def _operate(self, name: str, params: Any, operands: list, dtype: Any) -> Number:
-        if np.issubdtype(dtype, np.floating) and dtype != self.dtype:
-            raise NotElementwiseError(f"numbers of {dtype}")
-        text = expression(name, params, operands, dtype)
-        return self.writer.let(text, type_of(dtype))
-
-    def through(self, jaxpr: Any, closed: Any, values: list[Value]) -> list[Value]:
+    def through(
+        self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Value]
+    ) -> list[Value]:
         """Outputs of a program inside of the program."""
         begun = (*map(self.of_its_size, closed), *values)
         known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
-        last: dict[Any, float] = {}
+        last: dict[Variable, float] = {}
         for i, equation in enumerate(jaxpr.eqns):
             last.update((v, i) for v in equation.invars if not _is_literal(v))
         last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
@@ -70,29 +63,14 @@ class Structured(Walk):
                 known.update((v, self.numbers(known[v])) for v in names)
             free = {v for v in names if _is_free(v, known, names, last, i)}
             inputs = [
-                _read(v, known) if _is_literal(v) or v in free else _kept(known[v])
+                _read(v, known) if _is_literal(v) or v in free else kept(known[v])
                 for v in equation.invars
             ]
             results = map(self.of_its_size, self.results(equation, inputs))
             known.update(zip(equation.outvars, results, strict=True))
         return [_read(v, known) for v in jaxpr.outvars]
 
-    def of_its_size(self, x: Value) -> Value:
-        """Single numbers only if they are few, else an array in memory."""
-        if isinstance(x, Memory):
-            return x
-        if x.size <= SMALL:
-            return x if x.dtype == object else numbers_of(x)
-        if x.dtype != object:
-            return self.arrays.known(np.asarray(x))
-        return self.arrays.in_memory(x, in_c(x.reshape(-1)[0]).type)
-
-    def numbers(self, x: Value) -> Value:
-        """Single numbers if they are few: read from memory where they are used."""
-        small = isinstance(x, Memory) and x.size <= SMALL
-        return self.arrays.loaded(x) if small else x
-
-    def _takes_memory(self, equation: Any) -> bool:
+    def _takes_memory(self, equation: Equation) -> bool:
         """Whether an equation has its own way with small arrays in memory."""
         name = equation.primitive.name
         if name in _WITH_PROGRAMS or name in OPERATIONS:
@@ -102,7 +80,7 @@ class Structured(Walk):
         sizes = [v.aval.size for v in (*equation.invars, *equation.outvars)]
         return max(sizes) > SMALL
 
-    def results(self, equation: Any, inputs: list[Value]) -> list[Value]:
+    def results(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         """What one equation gives."""
         name = equation.primitive.name
         if name in _AGAIN:
@@ -122,7 +100,7 @@ class Structured(Walk):
             return super().results(equation, inputs)
         return in_memory(self, equation, inputs)
 
-    def controlled(self, equation: Any, inputs: list[Value]) -> list[Value]:
+    def controlled(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         """What an equation gives that holds programs."""
         name = equation.primitive.name
         if name == "while":
@@ -135,22 +113,22 @@ class Structured(Walk):
 
     # -- loops -----------------------------------------------------------------------
 
-    def _looped(self, equation: Any, inputs: list[Value]) -> list[Value]:
+    def _looped(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         params = equation.params
         more, body = params["cond_jaxpr"], params["body_jaxpr"]
         first, second = params["cond_nconsts"], params["body_nconsts"]
-        closed = list(map(_kept, inputs[: first + second]))
+        closed = list(map(kept, inputs[: first + second]))
         of_cond, of_body = closed[:first], closed[first:]
         homes = [self.homes.get(v) for v in equation.outvars]
-        carry = _Carry(self, body, second, inputs[first + second :], homes)
+        carry = Carry(self, body, second, inputs[first + second :], homes)
         (asked,) = more.out_avals
         with self.writer.braces("for (;;)"):
-            (going,) = self._run(more, [*of_cond, *map(_kept, carry.values)])
+            (going,) = self._run(more, [*of_cond, *map(kept, carry.values)])
             going = self.numbers(going)
             self.writer.line(f"if (!({self._any(going)})) break;")
             with self.writer.inner() as block:
                 if asked.shape:  # each member of a batch has its own number of turns
-                    begun = list(map(_kept, carry.values))
+                    begun = list(map(kept, carry.values))
                     found = self._run(body, [*of_body, *begun])
                     avals = body.out_avals
                     found = [
@@ -173,7 +151,7 @@ class Structured(Walk):
             self.writer.line(f"{some.text} |= {going.at(index)} != 0;")
         return some.text
 
-    def _where(self, going: Value, new: Value, old: Value, aval: Any) -> Value:
+    def _where(self, going: Value, new: Value, old: Value, aval: Aval) -> Value:
         """What a turn leaves, for the members of a batch that it is for."""
         new, old = self.numbers(new), self.numbers(old)
         shape, kind = aval.shape, type_of(aval.dtype)
@@ -185,15 +163,16 @@ class Structured(Walk):
         place = in_shape(self, place, axes).spread(shape)
         parts = [self.arrays.in_memory(x, kind) for x in (new, old)]
 
-        def chosen(index):
+        def chosen(index: Index) -> Number:
             a, b = (x.at(index) for x in parts)
             return Number(f"({place.at(index)} != 0 ? {a} : {b})", "real")
 
         return self.arrays.filled(self.arrays.new(shape, kind), chosen)
 
-    def _scanned(self, equation: Any, inputs: list[Value]) -> list[Value]:
+    def _scanned(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         params = equation.params
         body, length = params["jaxpr"], params["length"]
+        axes: Callable[[Iterable[Aval]], list[int]]
         axes = lambda values: [v.ndim for v in values]
         outer, turned = axes(v.aval for v in equation.outvars), axes(body.out_avals)
         behind = sum(map(operator.eq, outer, turned))
@@ -204,11 +183,11 @@ class Structured(Walk):
         small = max([x.size for x in inputs], default=0) <= SMALL
         if numbers <= _WRITTEN_OUT and small:
             return self.repeated(equation, list(map(self.numbers, inputs)))
-        shared, rows = list(map(_kept, inputs[:first])), inputs[first + behind :]
+        shared, rows = list(map(kept, inputs[:first])), inputs[first + behind :]
         kinds = [type_of(v.aval.dtype) for v in equation.invars[first + behind :]]
         stacks = list(map(self.arrays.in_memory, rows, kinds))
         begun = inputs[first : first + behind]
-        carry = _Carry(self, body, first, begun, [None] * behind)
+        carry = Carry(self, body, first, begun, [None] * behind)
         outs = [
             self.arrays.new((length, *v.shape), type_of(v.dtype))
             for v in body.out_avals[behind:]
@@ -247,13 +226,15 @@ class Structured(Walk):
 
     # -- branches --------------------------------------------------------------------
 
-    def _branched(self, branches: Any, inputs: list[Value]) -> list[Value]:
+    def _branched(
+        self, branches: Sequence[ClosedJaxpr], inputs: list[Value]
+    ) -> list[Value]:
         which, given = self.numbers(inputs[0])[()], inputs[1:]
         cheap = all(len(branch.jaxpr.eqns) <= _CHEAP for branch in branches)
         small = all(x.size <= SMALL for x in given)
         if isinstance(which, np.generic) or (cheap and small):
             return self.chosen(which, branches, list(map(self.numbers, given)))
-        written = []
+        written: _Written = []
         for branch in branches:
             with self.writer.inner() as block:
                 found = self._run(branch, given)
@@ -271,7 +252,7 @@ class Structured(Walk):
             else:
                 head = "else" if i == last else f"if ({which.text} <= {i})"
                 head = f"else {head}" if 0 < i < last else head
-            targets = []
+            targets: list[Target] = []
             with self.writer.reopened(block):
                 for to, x in zip(left, found, strict=True):
                     targets += self._settled(to, x)
@@ -279,14 +260,14 @@ class Structured(Walk):
             self.writer.put(block, targets)
         return left
 
-    def _choice(self, found: list[Value], written: list, aval: Any) -> Value:
+    def _choice(self, found: list[Value], written: _Written, aval: Aval) -> Value:
         """Where branches leave one of their results."""
         kind = type_of(aval.dtype)
         if isinstance(found[0], Memory):
             if all(x.is_at(found[0]) for x in found):
                 return found[0]._replace(owned=all(x.owned for x in found))
             return self.arrays.new(aval.shape, kind)
-        named = set().union(*(block.named for block, _ in written))
+        named = {name for block, _ in written for name in block.named}
         result = np.empty(aval.shape, object)
         for index in np.ndindex(aval.shape):
             options = [x[index] for x in found]
@@ -308,25 +289,26 @@ class Structured(Walk):
             if isinstance(a, Number) and a.text != in_c(b).text
         ]
 
-    def _run(self, closed: Any, values: list[Value]) -> list[Value]:
+    def _run(self, closed: ClosedJaxpr, values: list[Value]) -> list[Value]:
         """A program inside of the program."""
         return self.through(closed.jaxpr, closed.consts, values)
 
 
-def _is_literal(v: Any) -> bool:
+def _is_literal(v: object) -> TypeGuard[Literal]:
     return isinstance(v, core.Literal)
 
 
-def _read(v: Any, known: dict[Any, Value]) -> Value:
+def _read(v: Variable, known: dict[Variable, Value]) -> Value:
     return numbers_of(np.asarray(v.val, v.aval.dtype)) if _is_literal(v) else known[v]
 
 
-def _kept(x: Value) -> Value:
-    """A value that is read again: nothing changes it in place."""
-    return x._replace(owned=False) if isinstance(x, Memory) else x
-
-
-def _is_free(v: Any, known: dict[Any, Value], names: list, last: dict, i: int) -> bool:
+def _is_free(
+    v: Variable,
+    known: dict[Variable, Value],
+    names: list[Variable],
+    last: dict[Variable, float],
+    i: int,
+) -> bool:
     """Whether equation i changes a value in place: nobody else reads it, or later."""
     x = known[v]
     if not isinstance(x, Memory) or not x.owned or last[v] > i or names.count(v) > 1:
@@ -336,83 +318,3 @@ def _is_free(v: Any, known: dict[Any, Value], names: list, last: dict, i: int) -
         for other, y in known.items()
         if other is not v
     )
-
-
-class _Carry:
-    """What goes from turn to turn of a loop, in variables and arrays of its own.
-
-    Attributes:
-        values: What a turn begins with, and what the loop leaves.
-    """
-
-    def __init__(
-        self,
-        walk: Structured,
-        body: Any,
-        first: int,
-        begun: list[Value],
-        homes: list[Memory | None],
-    ):
-        """Of a loop's body, in which it begins at one of the arguments.
-
-        Arrays that have a home are there from the first.
-        """
-        self.walk = walk
-        jaxpr = body.jaxpr
-        places = jaxpr.invars[first : first + len(begun)]
-        ends = jaxpr.outvars[: len(begun)]
-        self.stays = [a is b for a, b in zip(places, ends, strict=True)]
-        written = {e.invars[0] for e in jaxpr.eqns if e.primitive.name in WRITING}
-        self.in_memory = [v in written or v.aval.size > SMALL for v in places]
-        self.values = [
-            x if stays else self._own(x, v.aval, home, large)
-            for x, stays, v, home, large in zip(
-                begun, self.stays, places, homes, self.in_memory, strict=True
-            )
-        ]
-
-    def _own(self, x: Value, aval: Any, home: Memory | None, large: bool) -> Value:
-        kind = type_of(aval.dtype)
-        if large:
-            x = self.walk.arrays.in_memory(x, kind)
-        x = x if large else self.walk.numbers(x)
-        if isinstance(x, Memory):
-            if home is None and x.owned and x.is_packed:
-                return x
-            return self.walk.arrays.copied(x, home)._replace(owned=True)
-        variables = [self.walk.writer.variable(kind, in_c(v)) for v in x.reshape(-1)]
-        return as_objects(variables, x.shape)
-
-    def targets(self, found: list[Value]) -> list[Target]:
-        """What a turn leaves; the turn is being written."""
-        walk = self.walk
-        bases = {x.base for x in self.values if isinstance(x, Memory)}
-        names = {
-            v.text
-            for x, stays in zip(self.values, self.stays, strict=True)
-            if not isinstance(x, Memory) and not stays
-            for v in x.reshape(-1)
-        }
-        moved, targets = [], []
-        for to, x, stays in zip(self.values, found, self.stays, strict=True):
-            if stays:
-                continue
-            if isinstance(to, Memory):
-                x = walk.arrays.in_memory(x, to.type)
-                if x.is_at(to):
-                    continue
-                if x.base in bases:  # another's, which may be changed before
-                    x = walk.arrays.copied(x)
-                moved.append((to, x))
-                continue
-            numbers = walk.numbers(x).reshape(-1)
-            for a, b in zip(to.reshape(-1), numbers, strict=True):
-                b = in_c(b)
-                if b.text == a.text:
-                    continue
-                if b.text in names:
-                    b = walk.writer.copy(b)
-                targets.append(Target(a.text, b))
-        for to, x in moved:
-            walk.arrays.copied(x, to)
-        return targets

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ..validation.checks import is_traced
+from .jaxpr_types import Params
 
 Numbers = np.ndarray  # of objects: NumPy scalars where known, else a target's values
 
@@ -31,7 +32,7 @@ def as_objects(values: Any, shape: tuple[int, ...]) -> Numbers:
     return numbers.reshape(shape)
 
 
-def _broadcast(inputs: list[Numbers], params: Any) -> Numbers:
+def _broadcast(inputs: list[Numbers], params: Params) -> Numbers:
     spread = [1] * len(params["shape"])
     axes = zip(params["broadcast_dimensions"], inputs[0].shape, strict=True)
     for axis, size in axes:
@@ -39,13 +40,13 @@ def _broadcast(inputs: list[Numbers], params: Any) -> Numbers:
     return np.broadcast_to(inputs[0].reshape(spread), params["shape"])
 
 
-def _sliced(inputs: list[Numbers], params: Any) -> Numbers:
+def _sliced(inputs: list[Numbers], params: Params) -> Numbers:
     starts, limits = params["start_indices"], params["limit_indices"]
     strides = params["strides"] or (1,) * len(starts)
     return inputs[0][tuple(map(slice, starts, limits, strides))]
 
 
-def _iota(inputs: list[Numbers], params: Any) -> Numbers:
+def _iota(inputs: list[Numbers], params: Params) -> Numbers:
     del inputs
     shape, axis = params["shape"], params["dimension"]
     count = np.arange(shape[axis], dtype=params["dtype"])
@@ -53,7 +54,7 @@ def _iota(inputs: list[Numbers], params: Any) -> Numbers:
     return numbers_of(np.broadcast_to(count.reshape(along), shape))
 
 
-def _padded(inputs: list[Numbers], params: Any) -> Numbers:
+def _padded(inputs: list[Numbers], params: Params) -> Numbers:
     numbers, filling = inputs
     gaps = params["padding_config"]
     shape = [
@@ -73,7 +74,7 @@ def _padded(inputs: list[Numbers], params: Any) -> Numbers:
 
 
 # bookkeeping: numbers change places, and nothing is computed
-MOVES: dict[str, Callable[[list[Numbers], Any], Numbers]] = {
+MOVES: dict[str, Callable[[list[Numbers], Params], Numbers]] = {
     "broadcast_in_dim": _broadcast,
     "concatenate": lambda x, p: np.concatenate(x, p["dimension"]),
     "expand_dims": lambda x, p: np.expand_dims(x[0], p["dimensions"]),

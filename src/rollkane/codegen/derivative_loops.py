@@ -5,14 +5,15 @@ in batches go from motion to motion.
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .ffi_call import XlaCall, in_one
+from .jaxpr_types import Shaped
 from .right_hand_side import cotangents_source, tangents_source
 from .runge_kutta_source import of_bearable_length, pull_source, push_source
 from .tableau import Weights
@@ -47,7 +48,7 @@ class Rates(NamedTuple):
         weights: Of an explicit Runge-Kutta method.
     """
 
-    function: Callable
+    function: Callable[..., Array]
     varied: list[Array]
     weights: Weights
 
@@ -55,7 +56,7 @@ class Rates(NamedTuple):
 class TangentLoop:
     """Changes along steps."""
 
-    def __init__(self, rates: Rates, state: Any, changes: Any):
+    def __init__(self, rates: Rates, state: Shaped, changes: Shaped):
         """Write the right-hand side and its changes as C and compile them.
 
         Args:
@@ -120,7 +121,7 @@ class TangentLoop:
 class CotangentLoop:
     """Cotangents back along steps."""
 
-    def __init__(self, rates: Rates, state: Any, between: int):
+    def __init__(self, rates: Rates, state: Shaped, between: int):
         """Write the right-hand side and the way back through it as C and compile them.
 
         Args:
@@ -164,7 +165,8 @@ class CotangentLoop:
         return back, [part.reshape(like.shape) for part, like in pairs]
 
 
-def _sizes(rates: Rates, state: Any) -> dict[str, int]:
+def _sizes(rates: Rates, state: Shaped) -> dict[str, int]:
+    size: Callable[[Iterable[Shaped]], int]
     size = lambda arrays: sum(math.prod(x.shape) for x in arrays)
     return {
         "N": state.shape[0],

@@ -1,11 +1,13 @@
 """A function in C as a part of XLA's programs, by its foreign function interface."""
 
+import ctypes
 import functools
 import re
 import threading
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,7 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import batching, mlir
+from jax.typing import DTypeLike
 from jaxtyping import Array
 
 from .compiler import NoCompilerError, Program, program_of
@@ -49,7 +52,7 @@ class XlaCall:
 
     def __init__(
         self,
-        dtype: Any,
+        dtype: DTypeLike,
         lanes: int,
         head: dict[str, int],
         parts: tuple[str, ...],
@@ -74,13 +77,18 @@ class XlaCall:
         known = tuple(head.items())
         self._target = _target(dtype, lanes, known, parts, others, effort)
 
-    def __call__(self, shapes: tuple, *arrays: Array) -> list[Array]:
+    def __call__(
+        self, shapes: tuple[tuple[int, ...], ...], *arrays: Array
+    ) -> list[Array]:
         """Results of these shapes."""
         results = tuple(ShapedArray(shape, self._dtype) for shape in shapes)
-        return _call_p.bind(*arrays, target=self._target, results=results)
+        return cast(
+            "list[Array]",
+            _call_p.bind(*arrays, target=self._target, results=results),
+        )
 
 
-def in_one(arrays: list[Array], dtype: Any) -> Array:
+def in_one(arrays: list[Array], dtype: DTypeLike) -> Array:
     """All numbers of some arrays, in order."""
     return jnp.concatenate([jnp.zeros(0, dtype), *map(jnp.ravel, arrays)])
 
@@ -119,7 +127,7 @@ class Interface(NamedTuple):
     @property
     def same_layout(self) -> str:
         """Assertions in C that its structures are those of ``xla_call.h``."""
-        pairs = []
+        pairs: list[tuple[str, str]] = []
         for theirs, (ours, fields) in _LAYOUT.items():
             if not re.search(rf"\bstruct\s+{theirs}\s*\{{", self.header):
                 continue
@@ -154,7 +162,11 @@ def check_usable() -> None:
 
 
 def callable_program(
-    interface: Interface, dtype: Any, lanes: int, head: dict, parts: tuple[str, ...]
+    interface: Interface,
+    dtype: DTypeLike,
+    lanes: int,
+    head: dict[str, int],
+    parts: tuple[str, ...],
 ) -> str:
     """A program whose ``called_by_xla`` an XLA of this interface can call.
 
@@ -181,7 +193,7 @@ class _Target:
         self._known = False
         self._lock = threading.Lock()
         beside = ThreadPoolExecutor(1)
-        self._coming: Future | None = beside.submit(program.loaded)
+        self._coming: Future[ctypes.CDLL] | None = beside.submit(program.loaded)
         beside.shutdown(wait=False)
 
     def await_known(self) -> None:
@@ -202,9 +214,9 @@ class _Target:
 
 @functools.cache
 def _target(
-    dtype: Any,
+    dtype: DTypeLike,
     lanes: int,
-    head: tuple,
+    head: tuple[tuple[str, int], ...],
     parts: tuple[str, ...],
     others: tuple[tuple[str, ...], ...],
     effort: str,
@@ -220,27 +232,37 @@ def _target(
 _call_p = Primitive("rollkane_native")
 _call_p.multiple_results = True
 
+_Results = tuple[ShapedArray, ...]
+
 
 @_call_p.def_impl
-def _called(*arrays: Array, target: _Target, results: tuple) -> list[Array]:
+def _called(*arrays: Array, target: _Target, results: _Results) -> list[Array]:
     target.await_known()
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in results]
     return list(jax.ffi.ffi_call(target.name, shapes)(*arrays))
 
 
 @_call_p.def_abstract_eval
-def _shapes(*arrays, results: tuple, **parameters: Any) -> list[ShapedArray]:
+def _shapes(
+    *arrays: ShapedArray, results: _Results, **parameters: Any
+) -> list[ShapedArray]:
     del arrays, parameters
     return list(results)
 
 
-def _batch(arrays, axes, *, target: _Target, results: tuple):
+def _batch(
+    arrays: Sequence[Array],
+    axes: Sequence[int | None],
+    *,
+    target: _Target,
+    results: _Results,
+) -> tuple[list[Array], list[int]]:
     """An axis in front of all: of one, where something is the same for all members."""
     size = next(x.shape[i] for x, i in zip(arrays, axes, strict=True) if i is not None)
     pairs = zip(arrays, axes, strict=True)
     arrays = [x[None] if i is None else jnp.moveaxis(x, i, 0) for x, i in pairs]
     results = tuple(ShapedArray((size, *x.shape), x.dtype) for x in results)
-    many = _call_p.bind(*arrays, target=target, results=results)
+    many = cast("list[Array]", _call_p.bind(*arrays, target=target, results=results))
     return many, [0] * len(many)
 
 

@@ -4,13 +4,15 @@ Each function takes the walk that writes the program, an equation and its inputs
 numbers or arrays in memory, and gives its results.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from .array_memory import Memory, value_of
-from .data_movement import as_objects, numbers_of
+from .array_memory import Index, Look, Memory, value_of
+from .data_movement import Numbers, as_objects, numbers_of
+from .jaxpr_types import Equation
+from .memory_walk import MemoryWalk, Value
 from .scalar_program import NotElementwiseError
 from .scalars import Number, in_c, type_of
 
@@ -18,19 +20,19 @@ from .scalars import Number, in_c, type_of
 _CHOSEN = 4
 
 
-def _clipped(walk, start: Any, last: int) -> Any:
+def _clipped(walk: MemoryWalk, start: Any, last: int) -> Any:
     """An index within an array."""
     whole = np.dtype(np.int64)
     least = walk.operation("max", {}, [start, np.int64(0)], whole)
     return walk.operation("min", {}, [least, np.int64(last)], whole)
 
 
-def _text(i: Any) -> Any:
+def _text(i: Any) -> int | str:
     """An index in C, or a known one."""
     return i.text if isinstance(i, Number) else int(i)
 
 
-def _taken(walk, equation, inputs: list) -> list:
+def _taken(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """A part of an array, which begins at indices that may be unknown."""
     x, starts = inputs[0], [walk.numbers(s)[()] for s in inputs[1:]]
     sizes, aval = equation.params["slice_sizes"], equation.outvars[0].aval
@@ -55,7 +57,7 @@ def _taken(walk, equation, inputs: list) -> list:
         x = walk.arrays.stored(x, kind)
     shifts = [_text(b) for b in begins]
 
-    def at(index):
+    def at(index: Index) -> str:
         return x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
 
     if aval.size <= walk.small:
@@ -68,7 +70,7 @@ def _taken(walk, equation, inputs: list) -> list:
     return [walk.arrays.filled(to, lambda index: Number(at(index), kind))]
 
 
-def _plus(shift: Any, i: Any) -> Any:
+def _plus(shift: int | str, i: int | str) -> int | str:
     if isinstance(shift, int) and isinstance(i, int):
         return shift + i
     if i == 0 and isinstance(i, int):
@@ -78,9 +80,17 @@ def _plus(shift: Any, i: Any) -> Any:
     return f"({shift} + {i})"
 
 
-def _chosen(walk, x, begin, axis: int, sizes, dtype) -> Any:
+def _chosen(
+    walk: MemoryWalk,
+    x: Numbers,
+    begin: Any,
+    axis: int,
+    sizes: Sequence[int],
+    dtype: np.dtype,
+) -> Numbers:
     """A part of a few single numbers."""
     last = x.shape[axis] - sizes[axis]
+    part: Callable[[int], Numbers]
     part = lambda i: np.take(x, range(i, i + sizes[axis]), axis)
     found = part(last)
     for i in reversed(range(last)):
@@ -89,7 +99,9 @@ def _chosen(walk, x, begin, axis: int, sizes, dtype) -> Any:
     return found
 
 
-def _selected(walk, here, yes, no, dtype) -> Any:
+def _selected(
+    walk: MemoryWalk, here: Any, yes: Numbers, no: Numbers, dtype: np.dtype
+) -> Numbers:
     found = np.empty(yes.shape, object)
     for index in np.ndindex(yes.shape):
         options = [here, no[index], yes[index]]
@@ -97,7 +109,7 @@ def _selected(walk, here, yes, no, dtype) -> Any:
     return found
 
 
-def _put(walk, equation, inputs: list) -> list:
+def _put(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """An array with a part that begins at indices that may be unknown."""
     x, update, *starts = inputs
     begins = [
@@ -107,7 +119,15 @@ def _put(walk, equation, inputs: list) -> list:
     return [_written(walk, equation, x, update, begins, None, False)]
 
 
-def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
+def _written(
+    walk: MemoryWalk,
+    equation: Equation,
+    x: Value,
+    update: Value,
+    begins: list[Any],
+    inside: Any,
+    adds: bool,
+) -> Value:
     """An array with a part that is written, or added to, where an index is inside."""
     aval = equation.outvars[0].aval
     kind = type_of(aval.dtype)
@@ -121,7 +141,7 @@ def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
     head = "" if inside is None else f"if ({in_c(inside).text})"
     sign = "+=" if adds else "="
 
-    def write(index, text):
+    def write(index: Index, text: str) -> None:
         at = x.at([_plus(s, i) for s, i in zip(shifts, index, strict=True)])
         walk.writer.line(f"{at} {sign} {text};")
 
@@ -135,7 +155,15 @@ def _written(walk, equation, x, update, begins, inside, adds: bool) -> Any:
     return x
 
 
-def _written_small(walk, x, update, begins, inside, adds, dtype) -> Any:
+def _written_small(
+    walk: MemoryWalk,
+    x: Numbers,
+    update: Numbers,
+    begins: list[Any],
+    inside: Any,
+    adds: bool,
+    dtype: np.dtype,
+) -> Numbers:
     """The same of single numbers: each is chosen."""
     found = np.array(x, object)
     truth = np.dtype(bool)
@@ -153,7 +181,7 @@ def _written_small(walk, x, update, begins, inside, adds, dtype) -> Any:
     return found
 
 
-def _outside(dtype: Any, value: Any) -> Any:
+def _outside(dtype: np.dtype, value: Any) -> Any:
     """What is read outside of an array: by default what is least or not a number."""
     if value is not None:
         return dtype.type(value)
@@ -165,7 +193,7 @@ def _outside(dtype: Any, value: Any) -> Any:
     return dtype.type(whole.min if whole.min < 0 else whole.max)
 
 
-def _gathered(walk, equation, inputs: list) -> list:
+def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """Rows of an array, of indices that may be unknown."""
     x, indices = inputs[0], walk.numbers(inputs[1])
     params, aval = equation.params, equation.outvars[0].aval
@@ -197,7 +225,9 @@ def _gathered(walk, equation, inputs: list) -> list:
     return [to]
 
 
-def _scattered(walk, equation, inputs: list) -> list:
+def _scattered(
+    walk: MemoryWalk, equation: Equation, inputs: list[Value]
+) -> list[Value]:
     """An array with one row that is written, or added to, if there is such a one."""
     x, index, update = inputs
     numbers = equation.params["dimension_numbers"]
@@ -222,7 +252,7 @@ def _scattered(walk, equation, inputs: list) -> list:
 _RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 
 
-def _running(walk, equation, inputs: list) -> list:
+def _running(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """Sums and so on of all numbers up to each, along an axis."""
     params, aval = equation.params, equation.outvars[0].aval
     name, axis = _RUNNING[equation.primitive.name], params["axis"]
@@ -236,7 +266,8 @@ def _running(walk, equation, inputs: list) -> list:
                 rows[(i, *k)] = walk.operation(name, {}, pair, aval.dtype)
         rows = rows[::-1] if params["reverse"] else rows
         return [np.moveaxis(rows, 0, axis)]
-    front = lambda a: np.moveaxis(a, axis, 0)
+    front: Look = lambda a: np.moveaxis(a, axis, 0)
+    turned: Look
     turned = (lambda a: np.flip(front(a), 0)) if params["reverse"] else front
     to = walk.arrays.new(aval.shape, type_of(aval.dtype))
     a, b = x.looked_at(turned), to.looked_at(turned)
@@ -252,7 +283,9 @@ def _running(walk, equation, inputs: list) -> list:
     return [to]
 
 
-def _place_of_best(walk, equation, inputs: list) -> list:
+def _place_of_best(
+    walk: MemoryWalk, equation: Equation, inputs: list[Value]
+) -> list[Value]:
     """Index of the largest or least number along an axis; of what is not one first."""
     aval, (axis,) = equation.outvars[0].aval, equation.params["axes"]
     better = {"argmax": "gt", "argmin": "lt"}[equation.primitive.name]
@@ -260,7 +293,7 @@ def _place_of_best(walk, equation, inputs: list) -> list:
     dtype = equation.invars[0].aval.dtype
     kind, truth = type_of(dtype), np.dtype(bool)
 
-    def wins(one, best):
+    def wins(one: Any, best: Any) -> Any:
         more = walk.operation(better, {}, [one, best], truth)
         if kind != "real":
             return more
@@ -295,7 +328,7 @@ def _place_of_best(walk, equation, inputs: list) -> list:
     return [to]
 
 
-def _largest(walk, equation, inputs: list) -> list:
+def _largest(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """The largest numbers of a row, in order, and their places."""
     values, places = (v.aval for v in equation.outvars)
     if len(values.shape) != 1:
@@ -310,7 +343,7 @@ def _largest(walk, equation, inputs: list) -> list:
     return [top, at]
 
 
-def _unset(walk, equation, inputs: list) -> list:
+def _unset(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """An array of which nothing is read before it is written."""
     del inputs
     aval = equation.outvars[0].aval
@@ -321,7 +354,8 @@ def _unset(walk, equation, inputs: list) -> list:
 
 # those that write to a part of their first operand
 WRITING = ("dynamic_update_slice", "scatter", "scatter-add")
-OPERATIONS: dict[str, Callable] = {
+_Operation = Callable[[MemoryWalk, Equation, list[Value]], list[Value]]
+OPERATIONS: dict[str, _Operation] = {
     "argmax": _place_of_best,
     "argmin": _place_of_best,
     "dynamic_slice": _taken,

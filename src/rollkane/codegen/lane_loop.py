@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Float, Int
 
 from .compiler import Program, program_of
+from .jaxpr_types import Shaped
 from .right_hand_side import lanes_source
 from .runge_kutta_source import attempt_source
 from .tableau import Weights
@@ -94,15 +95,15 @@ class LaneLoop:
 
     def __init__(
         self,
-        derivative: Callable,
+        derivative: Callable[..., Array],
         state: jax.ShapeDtypeStruct,
-        leaves: list[Any],
+        leaves: Sequence[Shaped],
         own: list[bool],
         weights: Weights,
         lanes: int | None = None,
         zeros: Sequence[bytes] | None = None,
         extended: bool = False,
-        watch: Callable | None = None,
+        watch: Callable[..., Array] | None = None,
     ):
         """Write the right-hand side as C and compile it.
 

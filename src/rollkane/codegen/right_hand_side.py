@@ -3,13 +3,15 @@
 import math
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from ..validation.checks import is_traced
-from .data_movement import as_objects, numbers_of
+from .data_movement import Numbers, as_objects, numbers_of
+from .jaxpr_types import Shaped
 from .scalar_program import NotElementwiseError, Program
 from .scalar_source import (
     Functions,
@@ -24,7 +26,7 @@ from .scalar_source import (
 # A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
 # Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
-_zeros: dict[int, tuple[weakref.ref, bytes]] = {}
+_zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 
 
 def zeros_of(x: Any) -> bytes:
@@ -57,7 +59,7 @@ class Source(NamedTuple):
     """
 
     functions: Functions
-    closed: list
+    closed: list[Array]
     back: Functions | None = None
     watch: Functions | None = None
     watched: int = 0
@@ -82,12 +84,12 @@ class Source(NamedTuple):
 
 
 def lanes_source(
-    derivative: Callable,
+    derivative: Callable[..., Array],
     state: jax.ShapeDtypeStruct,
-    leaves: list,
+    leaves: Sequence[Shaped],
     own: list[bool],
     zeros: Sequence[bytes] | None = None,
-    watch: Callable | None = None,
+    watch: Callable[..., Array] | None = None,
 ) -> Source:
     """A right-hand side for a row of motions.
 
@@ -107,7 +109,9 @@ def lanes_source(
     zeros = [b""] * len(leaves) if zeros is None else zeros
     stage = "row t, const row *restrict y, const row *restrict own"
 
-    def written(function, room, ending):
+    def written(
+        function: Callable[..., Array], room: int, ending: str
+    ) -> tuple[Functions, list[Array], int]:
         time = jax.ShapeDtypeStruct((), state.dtype)
         program = Program(function, time, state, *leaves)
         statements = Statements()
@@ -126,7 +130,9 @@ def lanes_source(
     return Source(made, [*traced, *more], watch=watched, watched=size // 2)
 
 
-def _of_lanes(state, leaves, own, zeros) -> tuple[list, int]:
+def _of_lanes(
+    state: Shaped, leaves: Sequence[Shaped], own: list[bool], zeros: Sequence[bytes]
+) -> tuple[list[Numbers], int]:
     """Time, state and leaves as symbols, and how many numbers all lanes share."""
     values = [symbols(["t"], (), row=True), array("y", state.shape, row=True)]
     places = {"own": 0, "shared": 0}
@@ -144,7 +150,9 @@ def _of_lanes(state, leaves, own, zeros) -> tuple[list, int]:
     return values, places["shared"]
 
 
-def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
+def tangents_source(
+    rates: Callable[..., Array], state: Shaped, varied: Sequence[Shaped]
+) -> Source:
     """A right-hand side of one motion together with its changes along a row.
 
     Args:
@@ -156,8 +164,12 @@ def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
         NotElementwiseError: more than arithmetic on single numbers.
     """
 
-    def changes(t, y, varied, y_dot, varied_dot):
-        along = lambda y, *varied: rates(t, y, *varied)
+    def changes(
+        t: Array, y: Array, varied: list[Array], y_dot: Array, varied_dot: list[Array]
+    ) -> tuple[Array, Array]:
+        def along(y: Array, *varied: Array) -> Array:
+            return rates(t, y, *varied)
+
         return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
 
     time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
@@ -173,7 +185,9 @@ def tangents_source(rates: Callable, state: Any, varied: list) -> Source:
     return Source(as_functions(statements, stage, results), traced)
 
 
-def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
+def cotangents_source(
+    rates: Callable[..., Array], state: Shaped, varied: Sequence[Shaped]
+) -> Source:
     """A right-hand side of one motion, and what a cotangent of its rates becomes.
 
     That of the state, and what it adds to those of what is varied.
@@ -187,12 +201,16 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
         NotElementwiseError: more than arithmetic on single numbers.
     """
 
-    def pulled(t, y, varied, cotangent):
-        along = lambda y, *varied: rates(t, y, *varied)
-        return jax.vjp(along, y, *varied)[1](cotangent)
+    def pulled(t: Array, y: Array, varied: list[Array], cotangent: Array) -> Any:
+        def along(y: Array, *varied: Array) -> Array:
+            return rates(t, y, *varied)
+
+        return cast(Any, jax.vjp(along, y, *varied)[1])(cotangent)
 
     time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
-    there = Program(lambda t, y, varied: rates(t, y, *varied), time, state, like)
+    listed: Callable[[Array, Array, list[Array]], Array]
+    listed = lambda t, y, varied: rates(t, y, *varied)
+    there = Program(listed, time, state, like)
     back = Program(pulled, time, state, like, state)
     given, size = _given(state, like)
     closed, traced = _closed(there, size, state.dtype)
@@ -212,18 +230,20 @@ def cotangents_source(rates: Callable, state: Any, varied: list) -> Source:
     return Source(functions, [*traced, *traced_back], changes)
 
 
-def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
+def _shape_of(x: Shaped) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
-def _given(state: Any, like: list) -> tuple[list, int]:
+def _given(state: Shaped, like: Sequence[Shaped]) -> tuple[list[Numbers], int]:
     """Time, state and what is varied as symbols, and how many numbers that has."""
     given = [symbols(["t"], (), row=False), array("y", state.shape, row=False)]
     shared = in_order("shared", like, state.dtype, row=False)
     return given + shared, sum(x.size for x in shared)
 
 
-def _closed(program: Program, first: int, dtype: Any) -> tuple[list, list]:
+def _closed(
+    program: Program, first: int, dtype: np.dtype
+) -> tuple[list[Numbers], list[Array]]:
     """Numbers of what a program closes over, and what of it is traced."""
     traced = [x for x in program.closed if is_traced(x)]
     given = iter(in_order("shared", traced, dtype, first, row=False))

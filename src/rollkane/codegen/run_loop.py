@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from ..validation.checks import is_traced
 from .ffi_call import XlaCall, in_one
+from .jaxpr_types import Shaped
 from .right_hand_side import lanes_source
 from .runge_kutta_source import attempt_source, of_bearable_length
 from .scalar_program import NotElementwiseError
@@ -69,6 +70,10 @@ class Ended(NamedTuple):
     record: tuple[Array, Array] | None
 
 
+# a first state, its absolute tolerances and a first step
+_Start = tuple[Array, Array, Array]
+
+
 class RunLoop:
     """A right-hand side compiled together with the loop that integrates it.
 
@@ -77,13 +82,13 @@ class RunLoop:
 
     def __init__(
         self,
-        derivative: Callable,
-        state: Any,
+        derivative: Callable[..., Array],
+        state: Shaped,
         leaves: list[Array],
         weights: Weights,
         zeros: Sequence[bytes] | None = None,
         between: int = 0,
-        watch: Callable | None = None,
+        watch: Callable[..., Array] | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -103,7 +108,8 @@ class RunLoop:
         state = jax.ShapeDtypeStruct(state.shape, state.dtype)
         zeros = [b""] * len(leaves) if zeros is None else zeros
         self._rates, closed = _opened(derivative, state, leaves)
-        self._watch, seen = None, []
+        self._watch: Callable[..., Array] | None = None
+        seen: list[Array] = []
         if watch is not None:
             self._watch, seen = _opened(watch, state, leaves, len(closed))
         self._leaves = [*leaves, *closed, *seen]
@@ -144,16 +150,23 @@ class RunLoop:
         call = jax.custom_batching.custom_vmap(alone)
 
         @call.def_vmap
-        def _(size, batched, leaves, start, *course):
+        def _(
+            size: int,
+            batched: list[Any],
+            leaves: list[Array],
+            start: _Start,
+            *course: Array,
+        ) -> tuple[list[Array], list[bool]]:
             differs, begun, *others = batched
             loop = None
             if not self._between and not any(others):
                 loop = self._of_lanes(tuple(differs))
             if loop is None:  # recorded, or at times or by tables of their own
-                axes = jax.tree.map(lambda x: 0 if x else None, tuple(batched))
+                axis: Callable[[bool], int | None] = lambda x: 0 if x else None
+                axes = jax.tree.map(axis, tuple(batched))
                 found = jax.vmap(alone, in_axes=axes)(leaves, start, *course)
             else:
-                spread = lambda x, theirs: (
+                spread: Callable[[Array, bool], Array] = lambda x, theirs: (
                     x if theirs else jnp.broadcast_to(x, (size, *x.shape))
                 )
                 every = list(map(spread, start, begun))
@@ -177,7 +190,16 @@ class RunLoop:
         n = self._state.shape[0]
         return [(outputs.shape[-1], n), (n,), (4,)]
 
-    def _alone(self, most: int, leaves, start, numbers, ends, begins, outputs):
+    def _alone(
+        self,
+        most: int,
+        leaves: list[Array],
+        start: _Start,
+        numbers: Array,
+        ends: Array,
+        begins: Array,
+        outputs: Array,
+    ) -> list[Array]:
         """One motion; in a batch one after the other."""
         y, atol, first_step = start
         shapes = self._shapes(outputs)
@@ -198,8 +220,8 @@ class RunLoop:
 
 
 def _opened(
-    function: Callable, state: Any, leaves: list[Array], before: int = 0
-) -> tuple[Callable, list[Array]]:
+    function: Callable[..., Array], state: Shaped, leaves: list[Array], before: int = 0
+) -> tuple[Callable[..., Array], list[Array]]:
     """A function with the traced arrays that it closes over as arguments.
 
     Behind the leaves, and behind ``before`` others that it does not look at. In a batch
@@ -210,11 +232,12 @@ def _opened(
     traced = jax.make_jaxpr(function)(time, state, *like)
     places = [i for i, x in enumerate(traced.consts) if is_traced(x)]
 
-    def opened(t, y, *arguments):
+    def opened(t: Array, y: Array, *arguments: Array) -> Array:
         consts, first = list(traced.consts), len(leaves) + before
         for place, x in zip(places, arguments[first:], strict=False):
             consts[place] = x
-        again = core.jaxpr_as_fun(core.ClosedJaxpr(traced.jaxpr, consts))
+        program = core.ClosedJaxpr(traced.jaxpr, consts)
+        again = cast("Callable[..., list[Array]]", core.jaxpr_as_fun(program))
         (found,) = again(t, y, *arguments[: len(leaves)])
         return found
 

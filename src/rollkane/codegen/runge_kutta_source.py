@@ -1,5 +1,6 @@
 """Steps of Runge-Kutta methods in C, around a right-hand side's functions."""
 
+from collections.abc import Callable
 from fractions import Fraction
 
 from .scalar_program import NotElementwiseError
@@ -88,6 +89,8 @@ def pull_source(weights: Weights) -> str:
 
 def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
     """Stages and end of a step; of each name x a state xy, rates xk and a room xz."""
+    listed: Callable[[str], str]
+    each: Callable[[str], list[str]]
     listed = lambda array: ", ".join(x + array for x in names)
     each = lambda text: [f"{_EACH} {text.replace('@', x)};" for x in names]
     lines = [f"rates(t, {listed('y')}, shared, {given}, {listed('k[0]')});"]
@@ -102,6 +105,7 @@ def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
 
 def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
     """Weights and time of each stage but the first, the step's end the last."""
+    time: Callable[[float], str]
     time = lambda node: "t_end" if node == 1.0 else f"t + h * {_weight(node)}"
     return [(row, time(c)) for row, c in zip(weights.rows, weights.nodes, strict=True)]
 

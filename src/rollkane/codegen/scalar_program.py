@@ -11,14 +11,16 @@ equations on arrays for a disc on a plane.
 import functools
 import math
 import operator
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, cast
 
 import jax
 import numpy as np
 from jax.extend import core
 
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
+from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Params, Variable
+from .known_numbers import KNOWN, SHORTCUTS, of_known
 
 # of one or more numbers gives one number, whatever the shape
 ELEMENTWISE = frozenset(
@@ -39,27 +41,6 @@ _CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
-_KNOWN = {
-    "add": operator.add,
-    "add_any": operator.add,
-    "sub": operator.sub,
-    "mul": operator.mul,
-    "neg": operator.neg,
-    "lt": operator.lt,
-    "le": operator.le,
-    "gt": operator.gt,
-    "ge": operator.ge,
-    "eq": operator.eq,
-    "ne": operator.ne,
-    "max": np.maximum,
-    "min": np.minimum,
-    "and": np.bitwise_and,
-    "or": np.bitwise_or,
-    "not": np.invert,
-    "abs": np.abs,
-    "square": np.square,
-    "sqrt": np.sqrt,
-}
 REDUCTIONS = {
     "reduce_sum": "add",
     "reduce_prod": "mul",
@@ -72,7 +53,9 @@ REDUCTIONS = {
 # numbers of a loop that is written out: beyond, compilers take too long
 _MOST_NUMBERS = 50_000
 
-Operate = Callable[[str, Any, list, Any], Any]
+# name, parameters, operands and type of the result of an operation
+Operate = Callable[[str, Params, list[Any], np.dtype], Any]
+Axes = Sequence[int]
 
 
 class NotElementwiseError(ValueError):
@@ -90,14 +73,14 @@ class Program:
     outputs: list[jax.ShapeDtypeStruct]
     closed: list[Any]
 
-    def __init__(self, function: Callable, *arguments: Any):
+    def __init__(self, function: Callable[..., Any], *arguments: Any):
         """Trace a function.
 
         Args:
             function: Of trees of arrays, to a tree of arrays.
             arguments: Trees of arrays, or of their shapes and types.
         """
-        self._closed = jax.make_jaxpr(function)(*arguments)
+        self._closed = cast(ClosedJaxpr, jax.make_jaxpr(function)(*arguments))
         self.outputs = [
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]
@@ -133,18 +116,18 @@ def _alone(value: Any) -> Numbers:
 
 def as_array(x: Any) -> Numbers:
     """A row of numbers, of which NumPy gives the only one without its array."""
-    return x if isinstance(x, np.ndarray) else _alone(x)
+    return cast(Numbers, x) if isinstance(x, np.ndarray) else _alone(x)
 
 
-def program_of(equation: Any) -> Any:
+def program_of(equation: Equation) -> ClosedJaxpr | None:
     """The program that an equation calls, with what it closes over; None: none."""
     name, params = equation.primitive.name, equation.params
     if name == "call_hi_primitive":  # from jax 0.11 on, of searchsorted and others
-        written = functools.partial(equation.primitive.to_lojax, **params)
+        written = functools.partial(cast(Any, equation.primitive).to_lojax, **params)
         shapes = (
             jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars
         )
-        return jax.make_jaxpr(written)(*shapes)
+        return cast(ClosedJaxpr, jax.make_jaxpr(written)(*shapes))
     return params[_CALLS[name]] if name in _CALLS else None
 
 
@@ -155,13 +138,15 @@ class Walk:
         """Of numbers that this operates on."""
         self.operate = operate
 
-    def through(self, jaxpr: Any, closed: Any, values: list[Numbers]) -> list[Numbers]:
+    def through(
+        self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Numbers]
+    ) -> list[Numbers]:
         """Outputs of a program inside of the program."""
-        known: dict[Any, Numbers] = dict(
+        known: dict[Variable, Numbers] = dict(
             zip((*jaxpr.constvars, *jaxpr.invars), (*closed, *values), strict=True)
         )
 
-        def read(v):
+        def read(v: Any) -> Numbers:  # a variable or a literal
             return numbers_of(v.val) if isinstance(v, core.Literal) else known[v]
 
         for equation in jaxpr.eqns:
@@ -169,14 +154,15 @@ class Walk:
             known.update(zip(equation.outvars, results, strict=True))
         return [read(v) for v in jaxpr.outvars]
 
-    def results(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
+    def results(self, equation: Equation, inputs: list[Numbers]) -> list[Numbers]:
         """What one equation gives."""
         name, params = equation.primitive.name, equation.params
         inner = program_of(equation)
         if inner is not None:
             consts = [numbers_of(x) for x in inner.consts]
             return self.through(inner.jaxpr, consts, inputs)
-        dtype = equation.outvars[0].aval.dtype if equation.outvars else None
+        made = equation.outvars[0].aval.dtype if equation.outvars else None
+        dtype = cast(np.dtype, made)  # what has no results is none of these
         if name in ELEMENTWISE:
             shape = equation.outvars[0].aval.shape
             return [self.elementwise(name, params, inputs, shape, dtype)]
@@ -197,7 +183,7 @@ class Walk:
             return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
         return self.controlled(equation, inputs)
 
-    def controlled(self, equation: Any, inputs: list[Numbers]) -> list:
+    def controlled(self, equation: Equation, inputs: list[Numbers]) -> list[Numbers]:
         """What an equation gives that holds programs, and says which of them to run."""
         name = equation.primitive.name
         if name == "scan":
@@ -207,7 +193,14 @@ class Walk:
             return self.chosen(inputs[0][()], branches, inputs[1:])
         raise NotElementwiseError(name)
 
-    def elementwise(self, name, params, inputs, shape, dtype) -> Numbers:
+    def elementwise(
+        self,
+        name: str,
+        params: Params,
+        inputs: list[Numbers],
+        shape: tuple[int, ...],
+        dtype: np.dtype,
+    ) -> Numbers:
         """One operation on the numbers of arrays."""
         result = np.empty(shape, object)
         # an axis of length one, and an operand without axes, serve all
@@ -217,7 +210,9 @@ class Walk:
             result[index] = self.operation(name, params, operands, dtype)
         return result
 
-    def operation(self, name: str, params: Any, operands: list, dtype: Any) -> Any:
+    def operation(
+        self, name: str, params: Params, operands: list[Any], dtype: np.dtype
+    ) -> Any:
         """One operation on numbers, left out where it does nothing."""
         known = [isinstance(x, np.generic) for x in operands]
         if name == "select_n" and known[0]:
@@ -225,13 +220,13 @@ class Walk:
         if name == "integer_pow":
             return self.power(operands[0], params["y"], dtype)
         if all(known):
-            return _of_known(name, params, operands, dtype)
-        short = _SHORTCUTS[name](*operands) if name in _SHORTCUTS else None
+            return of_known(name, params, operands, dtype)
+        short = SHORTCUTS[name](*operands) if name in SHORTCUTS else None
         if short is not None:
             return short
         return self.operate(name, params, operands, dtype)
 
-    def power(self, x: Any, exponent: int, dtype: Any) -> Any:
+    def power(self, x: Any, exponent: int, dtype: np.dtype) -> Any:
         """A whole power by repeated squares."""
         one = dtype.type(1)
         if exponent < 0:
@@ -246,9 +241,15 @@ class Walk:
                 x = self.operation("mul", {}, [x, x], dtype)
         return total
 
-    def sliced(self, numbers, starts: list[Numbers], sizes, dtype) -> Numbers:
+    def sliced(
+        self,
+        numbers: Numbers,
+        starts: list[Numbers],
+        sizes: tuple[int, ...],
+        dtype: np.dtype,
+    ) -> Numbers:
         """A part of an array, which begins at an index that may be unknown."""
-        unknown = []
+        unknown: list[tuple[int, Any, int]] = []
         for axis, (start, size) in enumerate(zip(starts, sizes, strict=True)):
             first, last = start[()], numbers.shape[axis] - size
             if last == 0:
@@ -270,15 +271,17 @@ class Walk:
             result[index] = self.operate("lookup", {}, [first, candidates], dtype)
         return result
 
-    def chosen(self, which: Any, branches: Any, inputs: list[Numbers]) -> list[Numbers]:
+    def chosen(
+        self, which: Any, branches: Sequence[ClosedJaxpr], inputs: list[Numbers]
+    ) -> list[Numbers]:
         """The results of one of some branches: of all of them, one is taken."""
         last = len(branches) - 1
 
-        def results(branch):
+        def results(branch: ClosedJaxpr) -> list[Numbers]:
             consts = [numbers_of(x) for x in branch.consts]
             return self.through(branch.jaxpr, consts, inputs)
 
-        if isinstance(which, np.generic):
+        if isinstance(which, KNOWN):
             return results(branches[int(np.clip(which, 0, last))])
         found = results(branches[last])
         for i in reversed(range(last)):
@@ -291,7 +294,7 @@ class Walk:
             ]
         return found
 
-    def repeated(self, equation: Any, inputs: list[Numbers]) -> list[Numbers]:
+    def repeated(self, equation: Equation, inputs: list[Numbers]) -> list[Numbers]:
         """A loop of known length, turn by turn."""
         params = equation.params
         inner, length = params["jaxpr"], params["length"]
@@ -300,6 +303,7 @@ class Walk:
             raise NotElementwiseError("a long scan")
         consts = [numbers_of(x) for x in inner.consts]
         # how many of each releases tell in ways of their own: rows have an axis more
+        axes: Callable[[Iterable[Aval]], list[int]]
         axes = lambda values: [v.ndim for v in values]
         outer, turned = axes(v.aval for v in equation.outvars), axes(inner.out_avals)
         behind = sum(map(operator.eq, outer, turned))
@@ -316,6 +320,7 @@ class Walk:
             kept.append(found[behind:])
         kept = kept[:: -1 if params["reverse"] else 1]
         shapes = [x.shape for x in inner.out_avals[behind:]]
+        columns: Iterable[Sequence[Numbers]]
         columns = zip(*kept, strict=True) if kept else ([] for _ in shapes)
         stacked = [
             as_objects([v for x in column for v in x.reshape(-1)], (length, *shape))
@@ -323,14 +328,16 @@ class Walk:
         ]
         return [*carry, *stacked]
 
-    def folded(self, name: str, numbers: list, dtype: Any) -> Any:
+    def folded(self, name: str, numbers: list[Any], dtype: np.dtype) -> Any:
         """The sum, the largest and so on of some numbers."""
         total = numbers[0]
         for x in numbers[1:]:
             total = self.operation(name, {}, [total, x], dtype)
         return total
 
-    def reduced(self, name: str, numbers: Numbers, axes: Any, dtype: Any) -> Numbers:
+    def reduced(
+        self, name: str, numbers: Numbers, axes: Axes, dtype: np.dtype
+    ) -> Numbers:
         """The sums and so on along some axes."""
         kept = [i for i in range(numbers.ndim) if i not in axes]
         rows = numbers.transpose([*kept, *axes])
@@ -339,7 +346,9 @@ class Walk:
             result[index] = self.folded(name, list(rows[index].reshape(-1)), dtype)
         return result
 
-    def contracted(self, a: Numbers, b: Numbers, axes: Any, dtype: Any) -> Numbers:
+    def contracted(
+        self, a: Numbers, b: Numbers, axes: Sequence[Axes], dtype: np.dtype
+    ) -> Numbers:
         """Sums of products over pairs of axes, or products alone over none."""
         a, b = (_in_rows(x, along) for x, along in zip((a, b), axes, strict=True))
         rows, columns = a.shape[:-1], b.shape[:-1]
@@ -354,68 +363,9 @@ class Walk:
         return result
 
 
-def _in_rows(x: Numbers, axes: Any) -> Numbers:
+def _in_rows(x: Numbers, axes: Axes) -> Numbers:
     """Numbers with some axes, in their order, joined into a last one."""
     kept = [i for i in range(x.ndim) if i not in axes]
     length = math.prod(x.shape[i] for i in axes)
     x = x.transpose([*kept, *axes])
     return x.reshape([*x.shape[: len(kept)], length])
-
-
-def _of_known(name: str, params: Any, operands: list, dtype: Any) -> Any:
-    if name in _KNOWN:
-        return dtype.type(_KNOWN[name](*operands))
-    if name in ("copy", "convert_element_type", "stop_gradient"):
-        return dtype.type(operands[0])
-    # rare: whatever XLA makes of it
-    primitive = getattr(jax.lax, name + "_p")
-    with jax.ensure_compile_time_eval():
-        return dtype.type(primitive.bind(*map(jax.numpy.asarray, operands), **params))
-
-
-def _is(x: Any, value: float) -> bool:
-    return isinstance(x, np.generic) and bool(x == value)
-
-
-def _times(a, b):
-    for x, y in ((a, b), (b, a)):
-        if _is(x, 0):
-            return x
-        if _is(x, 1):
-            return y
-    return None
-
-
-def _plus(a, b):
-    return b if _is(a, 0) else a if _is(b, 0) else None
-
-
-def _both(a, b):
-    for x, y in ((a, b), (b, a)):
-        if isinstance(x, np.bool_):
-            return y if x else x
-    return None
-
-
-def _either(a, b):
-    for x, y in ((a, b), (b, a)):
-        if isinstance(x, np.bool_):
-            return x if x else y
-    return None
-
-
-# zero times something is zero, even where the other factor is not finite
-_SHORTCUTS: dict[str, Callable] = {
-    "mul": _times,
-    "add": _plus,
-    "add_any": _plus,
-    "sub": lambda a, b: a if _is(b, 0) else None,
-    "div": lambda a, b: a if _is(a, 0) or _is(b, 1) else None,
-    "and": _both,
-    "or": _either,
-    "select_n": lambda which, *options: (
-        options[0] if all(x is options[0] for x in options) else None
-    ),
-    "copy": lambda x: x,
-    "stop_gradient": lambda x: x,
-}

@@ -7,12 +7,14 @@ of the compiler's. What is the same at all stages of all steps is computed once 
 import functools
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .data_movement import Numbers, as_objects
+from .jaxpr_types import Params, Shaped
+from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
 
 # how XLA's operations are written: between two numbers, or as functions of rows.h;
@@ -82,7 +84,9 @@ class Statements:
         self.tables: dict[str, str] = {}
         self._written: dict[tuple[str, bool], Symbol] = {}
 
-    def operate(self, name: str, params: Any, operands: list, dtype: Any) -> Symbol:
+    def operate(
+        self, name: str, params: Params, operands: list[Any], dtype: np.dtype
+    ) -> Symbol:
         """Write one operation; see :class:`rollkane.codegen.scalar_program.Program`."""
         truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
         if name == "lookup":
@@ -138,7 +142,7 @@ def _place(text: str) -> int | None:
     return None if found is None else int(found[1])
 
 
-def _expression(name: str, params: Any, operands: list, row: bool) -> str:
+def _expression(name: str, params: Params, operands: list[Any], row: bool) -> str:
     ending = "_row" if row else "_one"
     if name in ARITHMETIC or name in COMPARED:
         a, b = (_written(x, row and not isinstance(x, Symbol)) for x in operands)
@@ -179,9 +183,9 @@ def _written(x: Any, as_row: bool) -> str:
     """A symbol or a known number; as a row where it has to be one."""
     if isinstance(x, Symbol):
         text, spread, truth = x.text, as_row and not x.row, x.truth
-    elif isinstance(x, np.bool_):
+    elif isinstance(x, TRUTH):
         text, spread, truth = str(int(x)), as_row, True
-    elif isinstance(x, (np.floating, np.integer)):
+    elif isinstance(x, (REAL, WHOLE)):
         text, spread, truth = literal(float(x)), as_row, False
     else:
         raise NotElementwiseError(f"a number of {type(x)}")
@@ -200,10 +204,10 @@ def literal(value: float) -> str:
 
 
 def in_order(
-    name: str, arrays: list, dtype: Any, first: int = 0, *, row: bool
+    name: str, arrays: Sequence[Shaped], dtype: np.dtype, first: int = 0, *, row: bool
 ) -> list[Numbers]:
     """Numbers of fixed arrays that lie one behind the other, from the first on."""
-    found = []
+    found: list[Numbers] = []
     for x in arrays:
         if x.dtype != dtype:
             raise NotElementwiseError(f"numbers of {x.dtype}")
@@ -213,7 +217,12 @@ def in_order(
 
 
 def array(
-    name: str, shape: tuple, first: int = 0, *, row: bool, fixed: bool = False
+    name: str,
+    shape: tuple[int, ...],
+    first: int = 0,
+    *,
+    row: bool,
+    fixed: bool = False,
 ) -> Numbers:
     """Symbols of an array's numbers, from the first on, as a part of an array in C."""
     texts = [f"{name}[{first + i}]" for i in range(math.prod(shape))]
@@ -221,7 +230,7 @@ def array(
 
 
 def symbols(
-    texts: list[str], shape: tuple, *, row: bool, fixed: bool = False
+    texts: list[str], shape: tuple[int, ...], *, row: bool, fixed: bool = False
 ) -> Numbers:
     """Symbols of these texts, in order."""
     return as_objects([Symbol(text, row, fixed=fixed) for text in texts], shape)
@@ -252,7 +261,7 @@ class Result(NamedTuple):
     """
 
     name: str
-    numbers: Any
+    numbers: Numbers
     row: bool = False
     adds: bool = False
 

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .jaxpr_types import Params
+from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
 from .scalar_source import ARITHMETIC, COMPARED, FORMULAS, FUNCTIONS, literal
 
@@ -49,7 +51,7 @@ class Number(NamedTuple):
     type: str
 
 
-def type_of(dtype: Any) -> str:
+def type_of(dtype: np.dtype) -> str:
     """Of the numbers of an array."""
     if dtype == np.bool_:
         return "truth"
@@ -60,18 +62,18 @@ def in_c(x: Any) -> Number:
     """A number, known or not."""
     if isinstance(x, Number):
         return x
-    if isinstance(x, (bool, np.bool_)):
+    if isinstance(x, (bool, TRUTH)):
         return Number(str(int(x)), "truth")
-    if isinstance(x, np.integer):
+    if isinstance(x, WHOLE):
         # C has no negative literals: the least number would be none of its type
         least = int(x) == -(2**63)
         return Number(f"({int(x) + 1}L - 1)" if least else f"{int(x)}L", "whole")
-    if isinstance(x, np.floating):
+    if isinstance(x, REAL):
         return Number(literal(float(x)), "real")
     raise NotElementwiseError(f"a number of {type(x)}")
 
 
-def expression(name: str, params: Any, operands: list, dtype: Any) -> str:
+def expression(name: str, params: Params, operands: list[Any], dtype: np.dtype) -> str:
     """One operation on numbers, of which at least one is not known, in C.
 
     Raises:

@@ -6,7 +6,7 @@ its own: of the numbers that it uses, to those that are used of it.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -106,7 +106,7 @@ class Writer:
         return self.tables.setdefault(text, f"t{len(self.tables)}")
 
     @contextmanager
-    def inner(self) -> Iterator[Block]:
+    def inner(self) -> Generator[Block, None, None]:
         """A block of its own, which is nowhere yet."""
         block = Block()
         self._blocks.append(block)
@@ -116,7 +116,7 @@ class Writer:
             self._blocks.pop()
 
     @contextmanager
-    def reopened(self, block: Block) -> Iterator[None]:
+    def reopened(self, block: Block) -> Generator[None, None, None]:
         """Go on with a block that is nowhere yet."""
         self._blocks.append(block)
         try:
@@ -131,7 +131,7 @@ class Writer:
         return kept
 
     @contextmanager
-    def braces(self, head: str) -> Iterator[None]:
+    def braces(self, head: str) -> Generator[None, None, None]:
         """Statements between braces behind a head."""
         with self.inner() as block:
             yield
@@ -156,7 +156,7 @@ class Writer:
         used = {name for text in texts for name in _NAME.findall(text)}
         given = sorted(used - block.named, key=lambda name: int(name[1:]))
         i = len(self.functions)
-        kind = lambda name: IN_C[self._types[name]]
+        kind: Callable[[str], str] = lambda name: IN_C[self._types[name]]
         lines = [
             f"{part(i)} {{",
             *(

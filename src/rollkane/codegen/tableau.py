@@ -1,10 +1,12 @@
 """Coefficients of diffrax's explicit Runge-Kutta methods, for a plain loop."""
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, cast
 
 import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
@@ -18,12 +20,11 @@ def is_plain(solver: Any) -> bool:
 
     An explicit method whose last stage is the end of its step, with an error estimate.
     """
-    kind = type(solver)
+    kind = cast(Any, type(solver))
     if not isinstance(solver, dfx.AbstractERK) or kind.step is not dfx.AbstractERK.step:
         return False
-    tableau = kind.tableau
-    known = isinstance(tableau, dfx.ButcherTableau)
-    return known and tableau.ssal and tableau.b_error is not None
+    known = isinstance(kind.tableau, dfx.ButcherTableau)
+    return known and kind.tableau.ssal and kind.tableau.b_error is not None
 
 
 class Weights(NamedTuple):
@@ -76,6 +77,7 @@ def weights_of(solver: Any, purpose: str) -> Weights:
             f"cannot make the steps of {purpose}",
             "use diffrax.Tsit5(), Dopri5(), Dopri8() or Bosh3()",
         )
+    numbers: Callable[[Iterable[Any]], tuple[float, ...]]
     numbers = lambda row: tuple(float(x) for x in row)
     return Weights(
         rows=tuple(numbers(row) for row in known.a_lower),
@@ -85,7 +87,7 @@ def weights_of(solver: Any, purpose: str) -> Weights:
     )
 
 
-def tableau_of(solver: Any, dtype) -> Tableau:
+def tableau_of(solver: Any, dtype: DTypeLike) -> Tableau:
     """Coefficients of a diffrax solver as arrays, for a run with modes.
 
     Raises:

@@ -2,20 +2,23 @@
 
 import itertools
 import os
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ..validation.checks import is_traced
 from .array_memory import Memory, packed
 from .compiler import NoCompilerError
-from .control_flow import SMALL, Structured
+from .control_flow import Structured
 from .data_movement import as_objects
 from .ffi_call import XlaCall, in_one
+from .jaxpr_types import Aval, Jaxpr
+from .memory_walk import SMALL, Value
 from .scalar_program import NotElementwiseError
 from .scalars import in_c, type_of
 from .statement_writer import Writer, part
@@ -26,7 +29,7 @@ from .statement_writer import Writer, part
 _WORTH_A_COMPILER, _LONG = 2_000, 30_000
 
 
-def in_one_program(function: Callable, *arguments: Any) -> Any:
+def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function gives, by a program in C, inside of XLA's.
 
     In a batch it runs once for each member, on all processors.
@@ -39,19 +42,22 @@ def in_one_program(function: Callable, *arguments: Any) -> Any:
         NotElementwiseError: an operation that is not written in C.
         NoCompilerError: no C compiler.
     """
-    arrays, fixed = eqx.partition(arguments, eqx.is_array)
-    whole = lambda arrays: function(*eqx.combine(arrays, fixed))
+    arrays, fixed = cast("tuple[Any, Any]", eqx.partition(arguments, eqx.is_array))
+
+    def whole(arrays: Any) -> Any:
+        return function(*eqx.combine(arrays, fixed))
+
     closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
     given = [x for x in closed.consts if is_traced(x)] + jax.tree.leaves(arrays)
     consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
     reals = (x.dtype for x in given if jnp.issubdtype(x.dtype, np.floating))
     dtype = np.dtype(next(reals, jnp.result_type(float)))
-    leaves, tree = jax.tree.flatten(like)
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(like))
     call, shapes = _compiled(closed.jaxpr, consts, dtype)
     return jax.tree.unflatten(tree, _called(call, shapes, given, leaves, dtype))
 
 
-def in_one_program_or_not(function: Callable, *arguments: Any) -> Any:
+def in_one_program_or_not(function: Callable[..., Any], *arguments: Any) -> Any:
     """The same, or where that cannot be by XLA's program."""
     try:
         return in_one_program(function, *arguments)
@@ -59,13 +65,20 @@ def in_one_program_or_not(function: Callable, *arguments: Any) -> Any:
         return function(*arguments)
 
 
-def _called(call: XlaCall, shapes: list, given: list, leaves: list, dtype: Any) -> list:
+def _called(
+    call: XlaCall,
+    shapes: list[tuple[int, ...]],
+    given: list[Array],
+    leaves: list[Any],
+    dtype: np.dtype,
+) -> list[Array]:
     """The results of a call, with their shapes and types."""
     given = [jnp.asarray(x).astype(dtype).reshape(-1) for x in given]
     small = [x for x in given if x.size <= SMALL]
     handed = [in_one(small, dtype), *(x for x in given if x.size > SMALL)]
     first, *large = call(tuple(shapes), *handed)
-    found, at = [], 0
+    found: list[Array] = []
+    at = 0
     rest = iter(large)
     for leaf in leaves:
         if leaf.size <= SMALL:
@@ -77,7 +90,9 @@ def _called(call: XlaCall, shapes: list, given: list, leaves: list, dtype: Any) 
     return found
 
 
-def _compiled(jaxpr: Any, consts: list, dtype: Any) -> tuple[XlaCall, list]:
+def _compiled(
+    jaxpr: Jaxpr, consts: list[np.ndarray | None], dtype: np.dtype
+) -> tuple[XlaCall, list[tuple[int, ...]]]:
     """The program, and the shapes of its results."""
     walk = Structured(dtype)
     closed, values, count = _given(walk.writer, jaxpr, consts)
@@ -98,9 +113,12 @@ def _compiled(jaxpr: Any, consts: list, dtype: Any) -> tuple[XlaCall, list]:
     return XlaCall(dtype, 1, head, parts, more, effort), shapes
 
 
-def _given(writer: Writer, jaxpr: Any, consts: list) -> tuple[list, list, int]:
+def _given(
+    writer: Writer, jaxpr: Jaxpr, consts: list[np.ndarray | None]
+) -> tuple[list[Value], list[Value], int]:
     """The arguments: small ones in one array, each of the others in its own."""
-    place, count, found = 0, 1, []
+    place, count = 0, 1
+    found: list[Value] = []
     variables = [*jaxpr.constvars, *jaxpr.invars]
     known = [*consts, *[None] * len(jaxpr.invars)]
     for v, x in zip(variables, known, strict=True):
@@ -127,7 +145,7 @@ def _read_as(kind: str) -> Callable[[str], str]:
     return {"real": "{}", "whole": "whole_of({})", "truth": "({} != 0)"}[kind].format
 
 
-def _homes(results: list) -> list[Memory | None]:
+def _homes(results: Sequence[Aval]) -> list[Memory | None]:
     """Where XLA takes the results: the larger ones, each in an array of its own."""
     count = itertools.count(1)
     return [
@@ -138,7 +156,7 @@ def _homes(results: list) -> list[Memory | None]:
     ]
 
 
-def _leave(walk: Structured, found: list, homes: list[Memory | None]) -> int:
+def _leave(walk: Structured, found: list[Value], homes: list[Memory | None]) -> int:
     """Write the results there; gives how many numbers the smaller ones are."""
     place = 0
     for x, home in zip(map(walk.numbers, found), homes, strict=True):

@@ -7,13 +7,20 @@ alike: a run with them ends with a code and names the field
 back to the host.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
+
+# what isinstance tells apart, of any element type
+_ARRAYS: tuple[type[Any], ...] = (np.ndarray, jax.Array)
+_TRUTHS: tuple[type[Any], ...] = (bool, np.bool_)
+_WHOLE: tuple[type[Any], ...] = (int, np.integer)
 
 
 class FieldError(ValueError):
@@ -40,7 +47,7 @@ class FieldError(ValueError):
 def _shown(value: Any) -> str:
     if isinstance(value, Tracer):
         return f"a traced {value.dtype}{list(value.shape)}"
-    if isinstance(value, (np.ndarray, jax.Array)):
+    if isinstance(value, _ARRAYS):
         value = np.asarray(value).tolist()
     name = getattr(value, "__name__", None)
     text = f"the function {name}" if callable(value) and name else repr(value)
@@ -84,7 +91,7 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
     if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
         array = array.astype(widest)
     if is_traced(array):
-        return _finite_or_nan(array)
+        return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
     return jnp.asarray(array)
 
@@ -94,7 +101,7 @@ def _finite_or_nan(array: Array) -> Array:
     return spoilt(array, ~jnp.all(jnp.abs(array) < jnp.inf))
 
 
-def spoilt(array: Any, bad: Any) -> Array:
+def spoilt(array: ArrayLike, bad: ArrayLike) -> Array:
     """The array, or NaN where it is bad: its derivatives, backwards too."""
     array = jnp.asarray(array)
     return array * jnp.where(bad, jnp.nan, 1.0).astype(array.dtype)
@@ -107,14 +114,16 @@ def cleared(array: Array, good: Array) -> Array:
 
 
 @cleared.defjvp
-def _(primals, tangents):
+def _(
+    primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[Array, Array]:
     array, good = primals
     return cleared(array, good), spoilt(tangents[0], ~good)
 
 
 def refuse(
     array: Any,
-    bad: Any,
+    bad: ArrayLike | Callable[[Any], Any],
     field: str,
     problem: str,
     remedy: str,
@@ -132,16 +141,19 @@ def refuse(
     Raises:
         FieldError: known numbers that are bad; traced ones become NaN.
     """
+    where: Any = bad
     if callable(bad):
-        bad = bad(array if is_traced(array) else np.asarray(array))
-    if not is_traced(array, bad):
-        if bool(np.any(bad)):
+        where = bad(array if is_traced(array) else np.asarray(array))
+    if not is_traced(array, where):
+        if bool(np.any(where)):
             raise FieldError(field, array, problem, remedy)
         return array
-    return spoilt(array, jnp.any(bad))
+    return spoilt(array, jnp.any(where))
 
 
-def positive(field: str, value: Any, shape: tuple[int | None, ...], meaning: str):
+def positive(
+    field: str, value: Any, shape: tuple[int | None, ...], meaning: str
+) -> Array:
     """A finite number (or array of them) greater than zero."""
     array = real(field, value, shape, meaning)
     return refuse(
@@ -149,9 +161,9 @@ def positive(field: str, value: Any, shape: tuple[int | None, ...], meaning: str
     )
 
 
-def flag(field: str, value: Any) -> bool:
+def flag(field: str, value: object) -> bool:
     """True or False, and nothing that merely looks like it."""
-    if not isinstance(value, (bool, np.bool_)):
+    if not isinstance(value, _TRUTHS):
         raise FieldError(field, value, "must be True or False", "write one of the two")
     return bool(value)
 
@@ -162,14 +174,14 @@ def whole(field: str, value: Any, least: int, remedy: str) -> int:
     Raises:
         FieldError: it is not.
     """
-    good = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    good = isinstance(value, _WHOLE) and not isinstance(value, bool)
     if not good or value < least:
         problem = f"must be a whole number of at least {least}"
         raise FieldError(field, value, problem, remedy)
     return int(value)
 
 
-def not_negative(field: str, value, unit: str) -> Float[Array, ""]:
+def not_negative(field: str, value: Any, unit: str) -> Float[Array, ""]:
     """A number that is zero or more.
 
     Raises:

@@ -5,7 +5,7 @@ here a run finds which of its numbers it is, so that it can end with a code and 
 field.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsInt, cast
 
 import jax
 import jax.numpy as jnp
@@ -66,6 +66,10 @@ _REFUSED = (
 )
 
 
+_Path = tuple[Any, ...]  # keys of JAX's, one behind the other
+_Flat = tuple[list[tuple[_Path, Any]], Any]  # leaves with their paths, and a structure
+
+
 class Fields(NamedTuple):
     """Names of the numbers that a run depends on, in the order in which it checks them.
 
@@ -80,10 +84,10 @@ class Fields(NamedTuple):
     @staticmethod
     def of(model: Any, start: Any, kind: str = "scene") -> "Fields":
         """Those of a model (a scene, a system) and a start, or of their structures."""
-        names = []
+        names: list[str] = []
         for name, tree in ((kind, model), ("start", start)):
-            leaves = jax.tree_util.tree_flatten_with_path(tree)[0]
-            names += [name + _shown(path) for path, _ in leaves]
+            flat = cast("_Flat", jax.tree_util.tree_flatten_with_path(tree))
+            names += [name + _shown(path) for path, _ in flat[0]]
         return Fields(tuple(names), len(jax.tree.leaves(model)))
 
     @property
@@ -91,7 +95,7 @@ class Fields(NamedTuple):
         """Number that stands for the output times."""
         return len(self.names)
 
-    def reason(self, code: Any, fault: Any) -> str:
+    def reason(self, code: SupportsInt, fault: SupportsInt) -> str:
         """What a code says, with the field at fault.
 
         Args:
@@ -107,7 +111,7 @@ class Fields(NamedTuple):
         return f"the {what} cannot be used: {self.names[fault]} is NaN: {_REFUSED}"
 
 
-def _shown(path: tuple) -> str:
+def _shown(path: _Path) -> str:
     """A path of keys as a user would write it; private fields are left out."""
     shown = [jax.tree_util.keystr((key,)) for key in path]
     return "".join(key for key in shown if not key.startswith("._"))
@@ -143,6 +147,6 @@ def is_stuck(code: Any) -> Any:
     return (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
 
 
-def reason_of(code: Any) -> str:
+def reason_of(code: SupportsInt) -> str:
     """What a code says, and what to do about it."""
     return _REASONS[int(code)]

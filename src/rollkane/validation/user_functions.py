@@ -8,15 +8,19 @@ is differentiated like any other part of a scene.
 import functools
 import inspect
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from .checks import FieldError, is_traced
+
+# a program, the structure of its results and of what is not an array among them
+_Trace = Callable[..., tuple[ClosedJaxpr, Any, Any]]
 
 
 class UserFunction(eqx.Module):
@@ -35,7 +39,7 @@ class UserFunction(eqx.Module):
     def __init__(
         self,
         field: str,
-        function: Callable,
+        function: Callable[..., Any],
         count: int,
         parameters: Any,
         of_array: bool = False,
@@ -84,7 +88,7 @@ class UserFunction(eqx.Module):
             self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
             self._spread, self._takes_parameters, self.parameters = False, False, None
 
-    def _closed_over(self, count: int) -> Callable | None:
+    def _closed_over(self, count: int) -> Callable[[Array], Array] | None:
         """The function with the traced values that it closes over made explicit.
 
         A closure such as ``lambda x, y: a * x**2`` with a traced ``a`` would hide
@@ -118,8 +122,14 @@ class UserFunction(eqx.Module):
         )
 
 
-def _call(function, spread, takes_parameters, parameters, coordinates) -> Array:
-    arguments = list(coordinates) if spread else [coordinates]
+def _call(
+    function: Callable[..., Array],
+    spread: bool,
+    takes_parameters: bool,
+    parameters: Any,
+    coordinates: Array,
+) -> Array:
+    arguments: list[Any] = list(coordinates) if spread else [coordinates]
     if takes_parameters:
         arguments.append(parameters)
     return function(*arguments)
@@ -135,9 +145,9 @@ class GivenFunction(eqx.Module):
     def __init__(
         self,
         field: str,
-        function: Callable,
+        function: Callable[..., Any],
         shape: tuple[int, ...] | None,
-        example: tuple,
+        example: tuple[Any, ...],
         more: Any,
         meaning: str,
     ):
@@ -174,7 +184,8 @@ class GivenFunction(eqx.Module):
         call = functools.partial(_value, self._takes_more)
         example = (*example, more)
         try:
-            program, value, _ = eqx.filter_make_jaxpr(call)(function, *example)
+            trace = cast("_Trace", eqx.filter_make_jaxpr(call))
+            program, value, _ = trace(function, *example)
         except Exception as error:
             problem = f"cannot be traced by JAX ({error})"
             raise FieldError(field, function, problem, remedy) from error
@@ -203,10 +214,11 @@ def _name(function: Any) -> str:
     return getattr(function, "__name__", type(function).__name__)
 
 
-def _value(takes_more: bool, function, *arguments) -> Any:
+def _value(takes_more: bool, function: Callable[..., Any], *arguments: Any) -> Any:
     value = function(*(arguments if takes_more else arguments[:-1]))
     if isinstance(value, list):
-        value = jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in value])
+        parts = cast("list[Any]", value)
+        value = jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in parts])
     return value
 
 
@@ -226,7 +238,7 @@ def as_time(t: Any) -> Array:
     return jnp.asarray(t, jnp.result_type(t, float))
 
 
-def accepts(function: Callable, count: int) -> bool:
+def accepts(function: Callable[..., Any], count: int) -> bool:
     """Whether a function can be called with so many positional arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
@@ -238,7 +250,7 @@ def accepts(function: Callable, count: int) -> bool:
 
 
 def check_output(
-    field: str, function: Callable, argument: Array, shape: tuple[int, ...]
+    field: str, function: Callable[..., Any], argument: Array, shape: tuple[int, ...]
 ) -> None:
     """Evaluate the shape of a user's function once, to fail early and clearly.
 
@@ -258,7 +270,10 @@ def check_output(
 
 
 def check_rotation(
-    field: str, function: Callable, arguments: np.ndarray, meaning: str
+    field: str,
+    function: Callable[[Array], Array],
+    arguments: np.ndarray,
+    meaning: str,
 ) -> None:
     """Refuse a function whose values are no rotations, where they are known.
 
