@@ -7,6 +7,7 @@ by their new names alone.
 
 import importlib
 import sys
+from collections.abc import Sequence
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -138,7 +139,12 @@ def module(name: str) -> ModuleType:
 class _Finder(MetaPathFinder):
     """Finds a module by its former name."""
 
-    def find_spec(self, fullname, path=None, target=None) -> ModuleSpec | None:
+    def find_spec(
+        self,
+        fullname: str,
+        path: Sequence[str] | None = None,
+        target: ModuleType | None = None,
+    ) -> ModuleSpec | None:
         del path, target
         package, _, name = fullname.partition(".")
         if package != "rollkane" or name not in NEW:

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.cli import _start_jax, main
+from rollkane.cli import main
+from rollkane.cli.commands import _start_jax
 from rollkane.codegen import NoCompilerError
 from rollkane.files.scene_files import load_scene
 from rollkane.simulation import run as simulation
@@ -87,7 +88,7 @@ def test_jax_is_set_up_before_it_starts():
     out = in_a_process(
         "import os, sys\n"
         "os.environ['XLA_FLAGS'] = '--xla_cpu_enable_fast_math=false'\n"
-        "from rollkane.cli import _start_jax\n"
+        "from rollkane.cli.commands import _start_jax\n"
         "assert 'jax' not in sys.modules\n"
         "_start_jax()\n"
         "import jax\n"
@@ -131,7 +132,7 @@ def test_simulate_writes_everything(folder, monkeypatch):
     import xarray
 
     # on a machine however slow, the second run is made that tells compiling apart
-    monkeypatch.setattr("rollkane.cli._SHORT", math.inf)
+    monkeypatch.setattr("rollkane.cli.commands._SHORT", math.inf)
 
     targets = {
         "--out": "run.nc",

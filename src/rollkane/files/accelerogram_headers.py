@@ -39,11 +39,11 @@ class Counted(NamedTuple):
     """Count and step as a line of a header gives them.
 
     Attributes:
-        count: Number of samples.
+        samples: How many there are.
         step: [s].
     """
 
-    count: int
+    samples: int
     step: float
 
 

@@ -70,7 +70,7 @@ class Lines:
 
     def numbers(self, words: list[str], line: int) -> list[float]:
         """Words of a line as finite numbers."""
-        found = []
+        found: list[float] = []
         for word in words:
             if not NUMBER.match(word):
                 self.refuse(line, f"holds {word!r}, not a number", "mend the line")

@@ -119,9 +119,11 @@ def said(line: str) -> Said:
         # the speed of waves in the ground is a fact of the site
         if pattern.match(word) and "wave" not in words[max(i - 1, 0) : i]
     }
-    picked = lambda how: tuple(
-        dict.fromkeys((kind, unit) for where, kind, unit in found if where == how)
-    )
+
+    def picked(how: str) -> tuple[tuple[str, str], ...]:
+        pairs = ((kind, unit) for where, kind, unit in found if where == how)
+        return tuple(dict.fromkeys(pairs))
+
     times = tuple(unit for _, unit in picked("time"))
     return Said(frozenset(kinds), picked("says"), picked("mentions"), times)
 

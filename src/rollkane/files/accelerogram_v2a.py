@@ -95,7 +95,7 @@ def _component(file: Lines, at: int, unit: str | None) -> tuple[Component, int]:
         problem = "needs two samples of acceleration or more and a positive step"
         file.refuse(head + (_COUNTS if step > 0 else _STEP), problem, "mend it")
     _check_text(file, at, counts[0], step)
-    blocks = []
+    blocks: list[list[float]] = []
     for count in counts:
         block, start = _block(file, start, count)
         blocks.append(block)

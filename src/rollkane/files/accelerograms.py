@@ -5,6 +5,7 @@ import os
 import re
 from collections.abc import Callable
 from importlib import resources
+from importlib.resources.abc import Traversable
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -149,8 +150,8 @@ def _column(file: Lines, at: int, unit: str | None, remedy: str) -> Accelerogram
     size = counted(file, at, header)
     if size is None:
         file.refuse(at, "gives no count and step", remedy)
-    samples = file.column(at + 1, size.count)
-    time = size.step * np.arange(size.count)
+    samples = file.column(at + 1, size.samples)
+    time = size.step * np.arange(size.samples)
     return Accelerogram(
         time, in_si(file, samples[:, None], told), ("",), _title(file, at)
     )
@@ -203,7 +204,8 @@ def read_two_column(
 
 def _rows(file: Lines) -> tuple[list[int], list[list[str]]]:
     """Line numbers and words of the rows behind the header."""
-    places, rows = [], []
+    places: list[int] = []
+    rows: list[list[str]] = []
     above = (0, [""])
     for i, words in file.rest(0):
         if not rows and not all(NUMBER.match(word) for word in words):
@@ -229,7 +231,7 @@ def _rows(file: Lines) -> tuple[list[int], list[list[str]]]:
 
 def _resolution(words: list[str]) -> float:
     """Unit of the last place to which times are printed [unit of time]."""
-    units = []
+    units: list[float] = []
     for word in words:
         digits, _, power = re.sub("[dD]", "e", word).lower().partition("e")
         # 0e999 is a number
@@ -282,9 +284,9 @@ def _check_counted(file: Lines, header: Any, count: int, step: float) -> None:
         size = counted(file, i, {i: header[i]})
         if size is None:
             continue
-        if size.count != count or abs(size.step - step) > 0.02 * step:
+        if size.samples != count or abs(size.step - step) > 0.02 * step:
             problem = (
-                f"says {size.count} samples every {size.step:g} s, and {count} every "
+                f"says {size.samples} samples every {size.step:g} s, and {count} every "
                 f"{step:g} s follow"
             )
             file.refuse(i, problem, "mend the header, or get the whole file")
@@ -333,12 +335,12 @@ def builtin_record(name: str) -> Accelerogram:
     return _BUILTIN[name](resources.files("rollkane") / "records")
 
 
-def _eqsig(folder) -> Accelerogram:
+def _eqsig(folder: Traversable) -> Accelerogram:
     with resources.as_file(folder / "eqsig-test-motion.txt") as path:
         return read_single_column(path, "g")
 
 
-def _kaikoura(folder) -> Accelerogram:
+def _kaikoura(folder: Traversable) -> Accelerogram:
     text = gzip.decompress((folder / "kaikoura-2016-wtmc.txt.gz").read_bytes())
     title, names, *rows = text.decode("ascii").splitlines()
     table = np.array([row.split() for row in rows], float) * UNITS["mm/s2"]
@@ -347,7 +349,7 @@ def _kaikoura(folder) -> Accelerogram:
     )
 
 
-_BUILTIN: dict[str, Callable] = {
+_BUILTIN: dict[str, Callable[[Traversable], Accelerogram]] = {
     "eqsig-test-motion": _eqsig,
     "kaikoura-2016-wtmc": _kaikoura,
 }

@@ -5,7 +5,7 @@ import uuid
 from pathlib import Path
 
 
-def write_whole(path: str | os.PathLike, data: bytes) -> None:
+def write_whole(path: str | os.PathLike[str], data: bytes) -> None:
     """Write a file so that nobody ever sees half of it.
 
     The bytes go to a new file beside the target, which then takes its name in one

@@ -7,6 +7,7 @@ frame rates ``W`` are kept instead of the fundamental forms, so that a sharp edg
 """
 
 from collections.abc import Callable
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -89,10 +90,10 @@ class LocalGeometry(eqx.Module):
 
     def regularity_by(self, units: Float[Array, "2"]) -> Float[Array, ""]:
         """The same for coordinates that are measured by units of their own [1]."""
-        effects = []
+        effects: list[Array] = []
         for matrix in (self.lengths * units[None], self.frame_rates * units[None]):
             largest = jnp.max(jnp.abs(matrix))
-            tiny = jnp.finfo(matrix.dtype).tiny
+            tiny = cast(float, jnp.finfo(matrix.dtype).tiny)
             effects.append(matrix / jnp.maximum(largest, tiny))
         first, second = (jnp.concatenate([e[:, a] for e in effects]) for a in range(2))
         squares, along = (dot(first, first), dot(second, second)), dot(first, second)
@@ -131,10 +132,10 @@ def from_chart(
     """
     along_1, along_2 = jnp.eye(2, dtype=q.dtype)
 
-    def tangent_1(q):
+    def tangent_1(q: Array) -> tuple[Array, Array]:
         return jax.jvp(position, (q,), (along_1,))
 
-    def tangent_2(q):
+    def tangent_2(q: Array) -> Array:
         return jax.jvp(position, (q,), (along_2,))[1]
 
     (rho, rho_1), (_, rho_11) = jax.jvp(tangent_1, (q,), (along_1,))
@@ -182,10 +183,10 @@ def from_height(
     """
     along_1, along_2 = jnp.eye(2, dtype=q.dtype)
 
-    def slope_1(q):
+    def slope_1(q: Array) -> tuple[Array, Array]:
         return jax.jvp(height, (q,), (along_1,))
 
-    def slope_2(q):
+    def slope_2(q: Array) -> Array:
         return jax.jvp(height, (q,), (along_2,))[1]
 
     (z, z_1), (_, z_11) = jax.jvp(slope_1, (q,), (along_1,))
@@ -254,8 +255,8 @@ def from_level_set(
     Source: docs/theory.md, (2.4).
     """
 
-    def gradient(p):
-        return jax.grad(level)(p)
+    def gradient(p: Array) -> Array:
+        return cast(Array, jax.grad(level)(p))
 
     slope = gradient(point)
     steepness = norm(slope)

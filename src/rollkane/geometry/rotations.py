@@ -5,6 +5,8 @@ homogeneous (``s = 2/|q|^2``), so the length of a quaternion never matters and n
 normalisation is part of the motion.
 """
 
+from typing import cast
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -102,7 +104,7 @@ def quaternion_of(rotation: Float[Array, "3 3"]) -> Float[Array, "4"]:
             jnp.stack([d - b, c + g, f + h, 1.0 - a - e + i]),
         ]
     )
-    best = rows[jnp.argmax(jnp.diagonal(rows))]
+    best = rows[jnp.argmax(cast(Array, jnp.diagonal(rows)))]
     return best * inverse_sqrt(dot(best, best))
 
 

@@ -5,12 +5,16 @@ The first axis holds the components, so that every function serves ``(3,)`` and
 rattleback cost nine times more with them, so nothing on the hot path uses them.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-_unstack = getattr(lax, "unstack", None)  # one operation instead of 2 n
+# one operation instead of 2 n
+_unstack: Callable[[Array], list[Array]] | None = getattr(lax, "unstack", None)
 # beyond, n^3 / 3 operations take longer to compile than anybody waits
 _UNROLLED = 12
 
@@ -46,7 +50,9 @@ def inverse_sqrt(x: Float[Array, "*B"]) -> Float[Array, "*B"]:
 
 
 @inverse_sqrt.defjvp
-def _inverse_sqrt_jvp(primals, tangents):
+def _inverse_sqrt_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[Array, Array]:
     value = inverse_sqrt(primals[0])
     return value, -0.5 * value * value * value * tangents[0]
 
@@ -102,12 +108,12 @@ def solve_4x4(
     places = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     signs = [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]
 
-    def minors(a, b):
+    def minors(first: int, second: int) -> list[Array]:
         """Of two columns, by pairs of rows in order."""
-        a, b = columns[a], columns[b]
+        a, b = columns[first], columns[second]
         return [a[i] * b[j] - a[j] * b[i] for i, j in places]
 
-    def determinant(a, b, c, d):
+    def determinant(a: int, b: int, c: int, d: int) -> Array:
         """Of four columns, by Laplace's expansion along the first two."""
         others = reversed(minors(c, d))
         terms = [s * x * y for s, x, y in zip(signs, minors(a, b), others, strict=True)]
@@ -134,8 +140,9 @@ def solve_spd(
     n, x = len(matrix), list(rhs)
     if n > _UNROLLED:
         return _solve_by_columns(matrix, rhs)
-    lower: list[list] = [[None] * n for _ in range(n)]
-    pivot: list = [None] * n
+    # entries beyond the lower triangle are never read
+    lower: list[list[Any]] = [[None] * n for _ in range(n)]
+    pivot: list[Any] = [None] * n
     for j in range(n):
         # U = L D, kept so that every product is formed once
         scaled = [lower[j][k] * pivot[k] for k in range(j)]
@@ -164,11 +171,11 @@ def _solve_by_columns(matrix: list[list[Array]], rhs: list[Array]) -> list[Array
     )
     index = jnp.arange(n)
 
-    def eliminate(whole, j):
+    def eliminate(whole: Array, j: Array) -> tuple[Array, None]:
         share = jnp.where(index > j, whole[:, j] / whole[j, j], 0.0)
         return whole - share[:, None] * whole[j][None], None
 
-    def substitute(x, j):
+    def substitute(x: Array, j: Array) -> tuple[Array, None]:
         known = jnp.sum(jnp.where(index > j, reduced[j, :n] * x, 0.0))
         return jnp.where(index == j, (reduced[j, n] - known) / reduced[j, j], x), None
 

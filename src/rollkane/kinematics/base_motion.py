@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix
@@ -148,8 +149,8 @@ class BaseMotion(AbstractBaseMotion):
 
     def __init__(
         self,
-        position: Callable | None = None,
-        rotation: Callable | None = None,
+        position: Callable[..., Any] | None = None,
+        rotation: Callable[..., Any] | None = None,
         parameters: Any = None,
         kinks: Any = None,
     ):
@@ -226,8 +227,8 @@ class BaseMotion(AbstractBaseMotion):
 def _of_time(function: UserFunction) -> Callable[[Array], Array]:
     """A user's function as one of a scalar, with an array for a nested sequence."""
 
-    def value(t):
-        result = function(t[None])
+    def value(t: Array) -> Array:
+        result: Any = function(t[None])  # the user's, which may be a sequence
         if isinstance(result, (tuple, list)):
             result = jnp.asarray(result, jnp.result_type(t))
         return result
@@ -236,25 +237,27 @@ def _of_time(function: UserFunction) -> Callable[[Array], Array]:
     return value
 
 
-def _twice(function: Callable, t: Array) -> tuple[Array, Array, Array]:
+def _twice(function: Callable[[Array], Array], t: Array) -> tuple[Array, Array, Array]:
     """A function of time with its first and second derivative."""
     one = jnp.ones_like(t)
 
-    def once(t):
+    def once(t: Array) -> tuple[Array, Array]:
         return jax.jvp(function, (t,), (one,))
 
     (value, rate), (_, second) = jax.jvp(once, (t,), (one,))
     return value, rate, second
 
 
-def _turning(A, A_dot, A_ddot) -> tuple[Array, Array]:
+def _turning(
+    A: Float[Array, "3 3"], A_dot: Float[Array, "3 3"], A_ddot: Float[Array, "3 3"]
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Angular velocity and acceleration on base axes from a rotation's derivatives.
 
     ``A^T A' = skew(w)`` and ``A^T A'' = skew(w') + skew(w)^2``.
     """
     columns = components(A.T)
 
-    def entry(rates, i, j):
+    def entry(rates: Array, i: int, j: int) -> Array:
         return dot(columns[i], rates[:, j])
 
     w = [entry(A_dot, 2, 1), entry(A_dot, 0, 2), entry(A_dot, 1, 0)]
@@ -280,7 +283,7 @@ class Spin(AbstractBaseMotion):
     orientation: Float[Array, "4"] | None
     position: Float[Array, "3"] | None
 
-    def __init__(self, rate, orientation: Any = None, position: Any = None):
+    def __init__(self, rate: ArrayLike, orientation: Any = None, position: Any = None):
         """Make a turntable.
 
         Args:

@@ -11,20 +11,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..geometry.local_geometry import LocalGeometry, from_normal, travel
+from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.rotations import multiply, rotation_matrix, shortest_turn
-from ..geometry.small_linear import (
-    components,
-    cross,
-    dot,
-    matmul,
-    matvec,
-    matvec_transposed,
-    solve_2x2,
-    solve_4x4,
-)
-from ..geometry.surfaces import AbstractSurface, Ring
+from ..geometry.small_linear import cross, dot, matmul, matvec, matvec_transposed
+from ..geometry.surfaces import AbstractSurface
 from .base_motion import BaseKinematics
+from .rolling_rates import (
+    along_base,
+    from_pair,
+    roll_by_normal,
+    rolling_unknowns,
+    tangents_in_body,
+)
 
 
 class Contact(eqx.Module):
@@ -105,7 +103,9 @@ class Contact(eqx.Module):
         """``a_b``, of the base's material point [m/s^2], body axes, (1.6)."""
         return self._of_base(BaseKinematics.acceleration_at)
 
-    def _of_base(self, quantity) -> Float[Array, "3"] | None:
+    def _of_base(
+        self, quantity: Callable[[BaseKinematics, Array], Array | None]
+    ) -> Float[Array, "3"] | None:
         moving = None if self.base is None else quantity(self.base, self.base_point)
         return None if moving is None else matvec_transposed(self.to_base, moving)
 
@@ -191,20 +191,20 @@ def rolling_contact(
     turning = cross(normal, relative)
     body_rates = on_body
     if shell is not None:
-        roll = _rolling_unknowns(body, base)
+        roll = rolling_unknowns(body, base)
         velocity, x_body, x_base = roll(shell, ground, to_base, turning, slip)
         body_point = shell.position
         body_rates = _rates_on(body, on_body, shell, x_body)
     elif base.is_flat:
         assert point is not None
         body_point, velocity = jax.jvp(point, (normal,), (turning,))
-        x_base = matvec(to_base[:2], _with(slip, velocity))
+        x_base = matvec(to_base[:2], along_base(slip, velocity))
     else:
         assert point is not None
-        pair = _tangents_in_body(ground, to_base)
+        pair = tangents_in_body(ground, to_base)
         shell = from_normal(point, normal, pair)
         body_point = shell.position
-        velocity, x_base = _roll_by_normal(shell, ground, pair, turning, slip)
+        velocity, x_base = roll_by_normal(shell, ground, pair, turning, slip)
     normal_rate = None
     if slip is not None or without_spin:
         normal_rate = _normal_rate(ground, to_base, normal, base_turn, x_base)
@@ -228,13 +228,20 @@ def rolling_contact(
     )
 
 
-def _along(normal, vector) -> tuple[Float[Array, "3"], Float[Array, ""]]:
+def _along(
+    normal: Float[Array, "3"], vector: Float[Array, "3"]
+) -> tuple[Float[Array, "3"], Float[Array, ""]]:
     """Part of a vector along a unit vector, and its size."""
     size = dot(normal, vector)
     return normal * size, size
 
 
-def _rates_on(surface: AbstractSurface, u, geometry: LocalGeometry, x) -> Array:
+def _rates_on(
+    surface: AbstractSurface,
+    u: Float[Array, " k"],
+    geometry: LocalGeometry,
+    x: Float[Array, "2"],
+) -> Float[Array, " k"]:
     """Rates of coordinates, within the surface."""
     return within(surface.extent(u), surface.coordinate_rates(u, geometry, x))
 
@@ -277,16 +284,17 @@ def flight(
     )
 
 
-def _normal_rate(ground: LocalGeometry, to_base, normal, base_turn, x_base):
+def _normal_rate(
+    ground: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+    normal: Float[Array, "3"],
+    base_turn: Float[Array, "3"] | None,
+    x_base: Float[Array, "2"],
+) -> Float[Array, "3"]:
     """Absolute rate of the normal, on body axes: the base's, the other way round."""
     along = matvec(ground.frame_rates, x_base)
-    rate = _from_pair(_tangents_in_body(ground, to_base), along)
+    rate = from_pair(tangents_in_body(ground, to_base), along)
     return rate if base_turn is None else rate + cross(base_turn, normal)
-
-
-def _with(slip, velocity):
-    """Velocity of the contact point along the base."""
-    return velocity if slip is None else velocity + slip
 
 
 def body_to_base(
@@ -310,7 +318,12 @@ def relative_spin(
     return angular_velocity - base_turn, base_turn
 
 
-def _aligned(orientation, rotation, shell: LocalGeometry, normal):
+def _aligned(
+    orientation: Float[Array, "4"],
+    rotation: Float[Array, "3 3"],
+    shell: LocalGeometry,
+    normal: Float[Array, "3"],
+) -> tuple[Float[Array, "4"], Float[Array, "3 3"]]:
     """Turn the body by the smallest rotation that brings its normal onto the base's.
 
     Integration error would otherwise open a gap: an error of 2e-8 grew to 3e-5 in 1e5
@@ -319,88 +332,3 @@ def _aligned(orientation, rotation, shell: LocalGeometry, normal):
     """
     turn = shortest_turn(shell.frame[:, 2], normal)
     return multiply(orientation, turn), matmul(rotation, rotation_matrix(turn))
-
-
-def _tangents_in_body(ground: LocalGeometry, rotation):
-    """The base's tangent pair on body axes."""
-    return (
-        matvec_transposed(rotation, ground.frame[:, 0]),
-        matvec_transposed(rotation, ground.frame[:, 1]),
-    )
-
-
-def _on_pair(pair, vector) -> Float[Array, "2"]:
-    return jnp.stack([dot(pair[0], vector), dot(pair[1], vector)])
-
-
-def _from_pair(pair, steps) -> Float[Array, "3"]:
-    first, second = components(steps)
-    return first * pair[0] + second * pair[1]
-
-
-def _rolling_unknowns(body: AbstractSurface, base: AbstractSurface) -> Callable:
-    """Which unknowns are solved for, where the body has contact coordinates."""
-    if base.is_flat:
-        return _roll_on_plane
-    return _roll_as_wire if isinstance(body, Ring) else _roll_on_base
-
-
-def _roll_by_normal(shell: LocalGeometry, ground: LocalGeometry, pair, turning, slip):
-    """By the body's normal (K_b = 1): ``(L_c + L_b K_c) x_c = L_b r + U``."""
-    lengths_b = shell.lengths
-    system = ground.lengths - matmul(lengths_b, ground.frame_rates)
-    rhs = matvec(lengths_b, _on_pair(pair, turning))
-    if slip is not None:
-        rhs = rhs + _on_pair(pair, slip)
-    x_base = solve_2x2(system, rhs)
-    velocity = _from_pair(pair, matvec(ground.lengths, x_base))
-    return velocity if slip is None else velocity - slip, x_base
-
-
-def _roll_on_plane(
-    shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip
-):
-    """Explicit contact coordinates, on a plane: ``K_b x_b = r``."""
-    del ground
-    pair = shell.frame[:, 0], shell.frame[:, 1]
-    x_body = solve_2x2(-shell.frame_rates, _on_pair(pair, turning))
-    velocity = travel(shell, x_body)
-    return velocity, x_body, matvec(rotation[:2], _with(slip, velocity))
-
-
-def _roll_on_base(shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip):
-    """Explicit contact coordinates.
-
-    ``(K_b L_b^-1 T L_c + T K_c) x_c = r + K_b L_b^-1 U``, where ``T[m, a] = e_m . t_a``
-    takes the base's tangent pair to the body's.
-    """
-    pair = shell.frame[:, 0], shell.frame[:, 1]
-    tangents = _tangents_in_body(ground, rotation)
-    mixing = jnp.stack([_on_pair(tangents, e) for e in pair])
-    steps = matmul(mixing, ground.lengths)
-    columns = [solve_2x2(shell.lengths, steps[:, a]) for a in range(2)]
-    own = jnp.stack(columns, axis=1)  # L_b^-1 T L_c
-    system = -matmul(shell.frame_rates, own) - matmul(mixing, ground.frame_rates)
-    rhs = _on_pair(pair, turning)
-    if slip is None:
-        x_base = solve_2x2(system, rhs)
-        return _from_pair(pair, matvec(steps, x_base)), matvec(own, x_base), x_base
-    left_out = solve_2x2(shell.lengths, _on_pair(pair, slip))  # L_b^-1 U
-    x_base = solve_2x2(system, rhs - matvec(shell.frame_rates, left_out))
-    velocity = _from_pair(pair, matvec(steps, x_base)) - slip
-    return velocity, matvec(own, x_base) - left_out, x_base
-
-
-def _roll_as_wire(shell: LocalGeometry, ground: LocalGeometry, rotation, turning, slip):
-    """Body that is a wire: ``K_b x_b + T K_c x_c = r``, ``T L_c x_c - L_b x_b = U``."""
-    pair = shell.frame[:, 0], shell.frame[:, 1]
-    tangents = _tangents_in_body(ground, rotation)
-    mixing = jnp.stack([_on_pair(tangents, e) for e in pair])
-    steps = matmul(mixing, ground.lengths)
-    turns = -matmul(mixing, ground.frame_rates)
-    above = jnp.concatenate([-shell.frame_rates, turns], axis=1)
-    below = jnp.concatenate([-shell.lengths, steps], axis=1)
-    across = _on_pair(pair, turning)
-    along = jnp.zeros_like(across) if slip is None else _on_pair(pair, slip)
-    x = solve_4x4(jnp.concatenate([above, below]), jnp.concatenate([across, along]))
-    return _from_pair(pair, matvec(shell.lengths, x[:2])), x[:2], x[2:]

@@ -7,7 +7,7 @@ pose is an output of the contact, so none of the spare ones can open a gap.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -63,7 +63,14 @@ class State(eqx.Module):
         """
         return self._contact(body, base, moving(), None, without_spin)
 
-    def _contact(self, body, base, moving, slip, without_spin) -> Contact:
+    def _contact(
+        self,
+        body: AbstractSurface,
+        base: AbstractSurface,
+        moving: BaseKinematics | None,
+        slip: Float[Array, "3"] | None,
+        without_spin: bool,
+    ) -> Contact:
         return rolling_contact(
             body,
             base,
@@ -133,7 +140,13 @@ class SlidingState(State):
 
     slips: ClassVar[bool] = True
 
-    def contact(self, body, base, moving, without_spin) -> Contact:
+    def contact(
+        self,
+        body: AbstractSurface,
+        base: AbstractSurface,
+        moving: Callable[[], BaseKinematics | None],
+        without_spin: bool,
+    ) -> Contact:
         """Its contact; see :meth:`State.contact`."""
         return self._contact(body, base, moving(), self.slip, without_spin)
 
@@ -185,7 +198,13 @@ class FlyingState(State):
 
     touches: ClassVar[bool] = False
 
-    def contact(self, body, base, moving, without_spin) -> Contact:
+    def contact(
+        self,
+        body: AbstractSurface,
+        base: AbstractSurface,
+        moving: Callable[[], BaseKinematics | None],
+        without_spin: bool,
+    ) -> Contact:
         """What stands for a contact: its point is the body origin."""
         del body, base, moving, without_spin
         where = self.orientation, self.angular_velocity, self.position, self.velocity
@@ -227,8 +246,9 @@ def pack(state: eqx.Module) -> Float[Array, " y"]:
 
 def unpack(y: Float[Array, "*T y"], like: Any) -> Any:
     """The state whose numbers are ``y``, with the sizes of ``like``."""
-    leaves, tree = jax.tree.flatten(like)
-    parts, start = [], 0
+    leaves, tree = cast(tuple[list[Array], Any], jax.tree.flatten(like))
+    parts: list[Array] = []
+    start = 0
     for leaf in leaves:
         if leaf.ndim:
             parts.append(y[..., start : start + leaf.shape[0]])

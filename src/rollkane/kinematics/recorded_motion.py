@@ -1,9 +1,11 @@
 """A base shaken by a recorded acceleration: piecewise linear, integrated exactly."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError, is_traced, real, refuse
@@ -36,10 +38,10 @@ class RecordedMotion(AbstractBaseMotion):
 
     def __init__(
         self,
-        time,
-        acceleration,
-        start_velocity=(0.0, 0.0, 0.0),
-        start_position=(0.0, 0.0, 0.0),
+        time: ArrayLike | Sequence[ArrayLike],
+        acceleration: ArrayLike | Sequence[Any],
+        start_velocity: ArrayLike | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
+        start_position: ArrayLike | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
     ):
         """Make a motion from a record.
 
@@ -58,10 +60,10 @@ class RecordedMotion(AbstractBaseMotion):
         Outside the record the motion is not known: ``simulate`` refuses times there.
         """
         self.time = _equal_steps(time)
-        acceleration = _components(acceleration, self.time.shape[0])
-        dtype = jnp.result_type(self.time, acceleration)
+        samples = _components(acceleration, self.time.shape[0])
+        dtype = jnp.result_type(self.time, samples)
         self.time = self.time.astype(dtype)
-        self.acceleration = acceleration.astype(dtype)
+        self.acceleration = samples.astype(dtype)
         field = "RecordedMotion.start_velocity"
         velocity = real(field, start_velocity, (3,), "three components in m/s")
         field = "RecordedMotion.start_position"
@@ -114,7 +116,7 @@ def _equal_steps(time: Any) -> Array:
             field, time, "must hold two samples or more", "give the record"
         )
 
-    def uneven(t):
+    def uneven(t: Any) -> Any:  # a NumPy array or a traced one
         _, step, off = _spacing(t)
         return ~((step > 0) & (abs(off) < _OFF * step).all())
 
@@ -171,7 +173,12 @@ def _components(acceleration: Any, count: int) -> Array:
     return jnp.pad(samples, ((0, 0), (0, 3 - width)))
 
 
-def _integrals(time, acceleration, velocity, position) -> tuple[Array, Array]:
+def _integrals(
+    time: Float[Array, " N"],
+    acceleration: Float[Array, "N 3"],
+    velocity: Float[Array, "3"],
+    position: Float[Array, "3"],
+) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
     """Velocity and position at the samples, exact for linear pieces."""
     step = jnp.diff(time)[:, None]
     a, b = acceleration[:-1], acceleration[1:]

@@ -167,11 +167,11 @@ def chart_contact(
     if moving is not None and moving.rotation is not None:
         rotation = matmul(moving.rotation, to_base)
 
-    relative, base_turn, ABC = state.angular_velocity, None, None
+    relative, base_turn, on_frame = state.angular_velocity, None, None
     if moving is not None and moving.angular_velocity is not None:
         base_turn = matvec_transposed(to_base, moving.angular_velocity)
-        ABC = matvec_transposed(shell.frame, base_turn)
-        relative = state.angular_velocity - ABC
+        on_frame = matvec_transposed(shell.frame, base_turn)  # (A, B, C)
+        relative = state.angular_velocity - on_frame
     sigma, tau, n = components(relative)
     turning = jnp.stack([tau, -sigma])
     kind = isinstance(body, AbstractNormalSurface), isinstance(body, Ring)
@@ -199,7 +199,7 @@ def chart_contact(
         tangents=T,
         steps=steps,
         frame_turn=jnp.stack([-tilt_2, tilt_1, -gam_q]),
-        base_turn=ABC,
+        base_turn=on_frame,
         angle_rate=s * dot(_spin(ground), qc_dot) - gam_q - n,
         sign=s,
         by_normal=kind[0],
@@ -257,8 +257,14 @@ def virtual_rates(
 
 
 def _chart_rates(
-    by_normal, is_wire, shell, ground, s, T, turning
-) -> tuple[Array, Array]:
+    by_normal: bool,
+    is_wire: bool,
+    shell: LocalGeometry,
+    ground: LocalGeometry,
+    s: int,
+    T: Float[Array, "2 2"],
+    turning: Float[Array, "2"],
+) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
     """Rates of both charts: ``W q' - s T W_c qc' = r`` and ``L q' = T L_c qc'``.
 
     Only non-vanishing quantities are divided by: the turn of a surface given by its

@@ -8,7 +8,7 @@ nothing else is said.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -41,6 +41,8 @@ from .quasi_energy import (
 from .quasi_velocities import paper_quantities
 
 EQUATIONS = ("2.3", "2.5", "2.9")
+# of the accelerations (sigma', tau', n', alpha''), or of a part of them
+_Residual = Callable[[Float[Array, " m"]], Float[Array, " k"]]
 
 
 def euler_lagrange_derivative(
@@ -86,10 +88,13 @@ def euler_lagrange_derivative(
     return state.rates(contact, w_dot, solved[3:])
 
 
-def _solved(residual: Callable[[Array], Array], size: int) -> Float[Array, " m"]:
+def _solved(residual: _Residual, size: int) -> Float[Array, " m"]:
     """Where an affine residual with a symmetric positive definite matrix vanishes."""
     dtype = jnp.result_type(float)
-    constant, linear = jax.linearize(residual, jnp.zeros(size, dtype))
+    constant, linear = cast(
+        tuple[Array, Callable[[Array], Array]],
+        jax.linearize(residual, jnp.zeros(size, dtype)),
+    )
     columns = [components(linear(unit)) for unit in jnp.eye(size, dtype=dtype)]
     rows = [[columns[j][i] for j in range(i + 1)] for i in range(size)]
     return jnp.stack(solve_spd(rows, components(-constant)))
@@ -103,7 +108,9 @@ class _Motion(NamedTuple):
     v: Float[Array, "3"]  # (sigma, tau, n)
     alpha_dot: Float[Array, " n"]
 
-    def along(self, function: Callable, acceleration: Float[Array, " m"]) -> Any:
+    def along(
+        self, function: Callable[..., Any], acceleration: Float[Array, " m"]
+    ) -> Any:
         """d/dt of ``function(x, v, alpha')`` along the motion."""
         tangents = self.x_dot, acceleration[:3], acceleration[3:]
         return jax.jvp(function, (self.x, self.v, self.alpha_dot), tangents)[1]
@@ -115,7 +122,7 @@ def residual_of(
     state: VoronetsState,
     contact: ChartContact,
     equations: str,
-) -> Callable[[Float[Array, " m"]], Float[Array, " m"]]:
+) -> _Residual:
     """Left less right sides of the equations, as a function of the accelerations.
 
     Args:
@@ -151,26 +158,37 @@ def residual_of(
     body = by_body(scene, state, contact, motion, moment)
     if not state.alpha.size:
         return body
-    return lambda acceleration: jnp.concatenate([body(acceleration), own(acceleration)])
+
+    def residual(acceleration: Array) -> Array:
+        return jnp.concatenate([body(acceleration), own(acceleration)])
+
+    return residual
 
 
-def _lagrangian(scene, state, contact, motion: _Motion, moment, Q):
+def _lagrangian(
+    scene: Scene,
+    state: VoronetsState,
+    contact: ChartContact,
+    motion: _Motion,
+    moment: Float[Array, "3"],
+    Q: Float[Array, " n"],
+) -> _Residual:
     """[A] (2.3) and (2.4), every term by automatic differentiation of T'."""
     sign = state.sign
 
-    def T(x, U, alpha_dot):
+    def T(x: Configuration, U: Array, alpha_dot: Array) -> Array:
         return kinetic_energy_with_slip(scene, x, U, alpha_dot, sign)
 
-    def Theta(x, v, alpha_dot):
+    def Theta(x: Configuration, v: Array, alpha_dot: Array) -> Array:
         return T(x, jnp.concatenate([jnp.zeros(2, v.dtype), v]), alpha_dot)
 
     x, v, alpha_dot = motion.x, motion.v, motion.alpha_dot
     U = jnp.concatenate([jnp.zeros(2, v.dtype), v])
-    p = jax.grad(T, argnums=1)(x, U, alpha_dot)  # dT'/dU^r
-    slope = jax.grad(Theta)(x, v, alpha_dot)  # dTheta'/dq^i
+    p = cast(Array, jax.grad(T, argnums=1)(x, U, alpha_dot))  # dT'/dU^r
+    slope = cast(Configuration, jax.grad(Theta)(x, v, alpha_dot))  # dTheta'/dq^i
     paper = paper_quantities(contact)
     Gamma, epsilon = paper.Gamma, paper.epsilon
-    forced = []
+    rows: list[Array] = []
     for k in (2, 3, 4):
         bent = sum(
             p[r] * (sum(Gamma[r, u, k] * U[u] for u in (2, 3, 4)) + epsilon[r, k])
@@ -179,21 +197,27 @@ def _lagrangian(scene, state, contact, motion: _Motion, moment, Q):
         unit = jnp.eye(3, dtype=v.dtype)[k - 2]
         q_k, qc_k, theta_k = virtual_rates(contact, unit)
         along = dot(slope.q, q_k) + dot(slope.q_c, qc_k) + slope.theta * theta_k
-        forced.append(bent - along)
-    forced = jnp.stack(forced) - moment
+        rows.append(bent - along)
+    forced = jnp.stack(rows) - moment
 
-    def residual(acceleration):
-        gradients = jax.grad(Theta, argnums=(1, 2))
+    def residual(acceleration: Array) -> Array:
+        gradients = cast(Callable[..., Any], jax.grad(Theta, argnums=(1, 2)))
         K_dot, p_dot = motion.along(gradients, acceleration)
         return jnp.concatenate([K_dot + forced, p_dot - slope.alpha - Q])
 
     return residual
 
 
-def _scalar_equations(scene, state, contact, motion: _Motion, moment):
+def _scalar_equations(
+    scene: Scene,
+    state: VoronetsState,
+    contact: ChartContact,
+    motion: _Motion,
+    moment: Float[Array, "3"],
+) -> _Residual:
     """[A] (2.5): the three equations written out on (e1, e2, e3)."""
 
-    def K(x, v, alpha_dot):
+    def K(x: Configuration, v: Array, alpha_dot: Array) -> Array:
         place = place_of(scene, x, state.sign)
         body = inertia_of(scene, x, alpha_dot)
         momentum = angular_momentum_about_contact(place, body, v)
@@ -201,7 +225,10 @@ def _scalar_equations(scene, state, contact, motion: _Motion, moment):
 
     place = place_of(scene, motion.x, state.sign)
     body = inertia_of(scene, motion.x, motion.alpha_dot)
-    on_e = lambda vector: components(matvec_transposed(place.frame, vector))
+
+    def on_e(vector: Float[Array, "3"]) -> list[Float[Array, ""]]:
+        return components(matvec_transposed(place.frame, vector))
+
     (xi, eta, eps), (Q1, Q2, Q3) = on_e(place.rho), on_e(body.Q_r)
     (xi_C, eta_C, eps_C), (j1, j2, j3) = on_e(body.r_C), on_e(place.j)
     M = body.mass
@@ -211,12 +238,12 @@ def _scalar_equations(scene, state, contact, motion: _Motion, moment):
     K1, K2, K3 = components(K(motion.x, motion.v, motion.alpha_dot))
     lever = M * ((xi - xi_C) * tau - (eta - eta_C) * sigma)
 
-    def spun(a, b, c):
+    def spun(a: Array, b: Array, c: Array) -> tuple[Array, Array, Array]:
         return n * a - sigma * c, sigma * b - tau * a, tau * c - n * b
 
     w13, w21, w32 = spun(xi, eta, eps)  # n xi - sigma eps, sigma eta - tau xi, ...
     c13, c21, c32 = spun(xi_C, eta_C, eps_C)
-    forced = [
+    rows = [
         (tau - tau_1) * K3
         - (n - n_1) * K2
         + lever * u2
@@ -241,14 +268,24 @@ def _scalar_equations(scene, state, contact, motion: _Motion, moment):
         + M * (w32 * j2 - w13 * j1)
         - M * (c32 * j2 - c13 * j1),
     ]
-    forced = jnp.stack(forced) - moment
-    return lambda acceleration: motion.along(K, acceleration) + forced
+    forced = jnp.stack(rows) - moment
+
+    def residual(acceleration: Array) -> Array:
+        return motion.along(K, acceleration) + forced
+
+    return residual
 
 
-def _vector_equation(scene, state, contact, motion: _Motion, moment):
+def _vector_equation(
+    scene: Scene,
+    state: VoronetsState,
+    contact: ChartContact,
+    motion: _Motion,
+    moment: Float[Array, "3"],
+) -> _Residual:
     """[A] (2.9): the same as one vector equation, d/dt in fixed axes."""
 
-    def K(x, v, alpha_dot):
+    def K(x: Configuration, v: Array, alpha_dot: Array) -> Array:
         place = place_of(scene, x, state.sign)
         body = inertia_of(scene, x, alpha_dot)
         return angular_momentum_about_contact(place, body, v)
@@ -266,36 +303,46 @@ def _vector_equation(scene, state, contact, motion: _Motion, moment):
     )
     forced = matvec_transposed(place.frame, forced) - moment
 
-    def residual(acceleration):
+    def residual(acceleration: Array) -> Array:
         change = motion.along(K, acceleration)
         return matvec_transposed(place.frame, change) + forced
 
     return residual
 
 
-def _carried_equations(scene, state, motion: _Motion, Q):
+def _carried_equations(
+    scene: Scene, state: VoronetsState, motion: _Motion, Q: Float[Array, " n"]
+) -> _Residual:
     """[A] (2.10), for each coordinate of what is carried."""
     x, v, alpha_dot = motion.x, motion.v, motion.alpha_dot
     place = place_of(scene, x, state.sign)
     w = matvec(place.frame, v)
 
-    def relative(x, v, alpha_dot) -> tuple[Any, Any]:
+    def relative(x: Configuration, v: Array, alpha_dot: Array) -> tuple[Array, Array]:
         """dT_r/dalpha' and dK_r/dalpha'."""
-        energy = lambda rates: inertia_of(scene, x, rates).T_r
-        spin = lambda rates: inertia_of(scene, x, rates).K_r
-        return jax.grad(energy)(alpha_dot), jax.jacfwd(spin)(alpha_dot)
 
-    def moved(x, v, alpha_dot):
+        def energy(rates: Array) -> Array:
+            return inertia_of(scene, x, rates).T_r
+
+        def spin(rates: Array) -> Array:
+            return inertia_of(scene, x, rates).K_r
+
+        return (
+            cast(Array, jax.grad(energy)(alpha_dot)),
+            cast(Array, jax.jacfwd(spin)(alpha_dot)),
+        )
+
+    def moved(x: Configuration, v: Array, alpha_dot: Array) -> tuple[Array, Array]:
         """J + rho x w, and w."""
         place = place_of(scene, x, state.sign)
         w = matvec(place.frame, v)
         return place.j + cross(place.rho, w), w
 
     def by_alpha(quantity: Callable[[Inertia], Array]) -> Array:
-        of = lambda alpha: quantity(
-            inertia_of(scene, x._replace(alpha=alpha), alpha_dot)
-        )
-        return jax.jacfwd(of)(x.alpha)
+        def of(alpha: Array) -> Array:
+            return quantity(inertia_of(scene, x._replace(alpha=alpha), alpha_dot))
+
+        return cast(Array, jax.jacfwd(of)(x.alpha))
 
     slope_T = by_alpha(lambda body: body.T_r)
     slope_K = by_alpha(lambda body: body.K_r)
@@ -304,7 +351,7 @@ def _carried_equations(scene, state, motion: _Motion, Q):
     v_O = place.j + cross(place.rho, w)
     _, K_by_rates = relative(x, v, alpha_dot)
 
-    def residual(acceleration):
+    def residual(acceleration: Array) -> Array:
         T_dot, K_dot = motion.along(relative, acceleration)
         v_O_star, w_dot = motion.along(moved, acceleration)
         pushed = v_O_star + cross(w, v_O)

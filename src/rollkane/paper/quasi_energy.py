@@ -208,7 +208,7 @@ def applied(
             arm = total(m * (part.place - contact.body_point[:, None]))
             moment = moment + cross(arm, g)
         for a, u in enumerate(part.partials):
-            Q = jnp.zeros_like(contact.normal[0]) if own is None else own[a]
-            forces.append(Q if g is None else Q + dot(total(m * u), g))
+            force = jnp.zeros_like(contact.normal[0]) if own is None else own[a]
+            forces.append(force if g is None else force + dot(total(m * u), g))
     Q = jnp.stack(forces) if forces else jnp.zeros(0, moment.dtype)
     return matvec_transposed(contact.shell.frame, moment), Q

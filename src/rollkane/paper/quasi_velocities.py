@@ -174,7 +174,7 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
     u_of, tilts = matmul(shell.lengths, q_of), matmul(shell.frame_rates, q_of)
     turning = jnp.stack([A, B])
 
-    def coefficients(row):
+    def coefficients(row: Float[Array, "2"]) -> Float[Array, "3"]:
         return jnp.concatenate([row, -dot(row, turning)[None]])
 
     f = None if contact.base is None else contact.base.velocity_at(contact.base_point)

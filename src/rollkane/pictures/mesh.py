@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from ..dynamics.bodies import Body
 from ..geometry.surfaces import (
@@ -100,15 +101,16 @@ def plate_mesh(touched: np.ndarray, size: float) -> Mesh:
     middle = np.append(middle, -0.05 * size)
     half = np.append(half, 0.05 * size)
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float)
-    points, normals = [], []
+    faces: list[np.ndarray] = []
+    normals: list[np.ndarray] = []
     for axis in range(3):
         for side in (1.0, -1.0):
             corners = np.insert(square if side > 0 else square[::-1], axis, side, 1)
             if axis == 1:  # (z, x) is the right-handed pair round y, not (x, z)
                 corners = corners[::-1]
-            points.append(middle + half * corners)
+            faces.append(middle + half * corners)
             normals.append(np.tile(side * np.eye(3)[axis], (4, 1)))
-    points = np.concatenate(points)
+    points = np.concatenate(faces)
     starts = 4 * np.arange(6)[:, None]
     halves = np.array([[0, 1, 2], [0, 2, 3]])
     triangles = np.concatenate([starts + half_face for half_face in halves])
@@ -147,14 +149,17 @@ def _domain(surface: AbstractSurface, touched: np.ndarray, size: float) -> np.nd
     return domain
 
 
-def _used(surface: Revolution, s: np.ndarray, touched, size: float) -> np.ndarray:
+def _used(
+    surface: Revolution, s: np.ndarray, touched: np.ndarray, size: float
+) -> np.ndarray:
     """The part of a meridian without ends that a motion uses."""
-    places = np.linspace(s[0] - 2 * (s[1] - s[0]), s[1] + 2 * (s[1] - s[0]), 501)
+    first, last = float(s[0]), float(s[1])
+    places = np.linspace(first - 2 * (last - first), last + 2 * (last - first), 501)
     height = chart_points(surface, np.stack([places, 0 * places], axis=1))[:, 2]
     within = (height > touched[:, 2].min() - size) & (
         height < touched[:, 2].max() + size
     )
-    within |= (places >= s[0]) & (places <= s[1])
+    within |= (places >= first) & (places <= last)
     return np.array([places[within].min(), places[within].max()])
 
 
@@ -175,16 +180,17 @@ def chart_points(surface: AbstractSurface, q: np.ndarray) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _on_chart(surface: AbstractSurface, q):
+def _on_chart(surface: AbstractSurface, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return jax.vmap(surface.chart)(q)
 
 
-def _grid(surface, domain, counts) -> tuple[np.ndarray, np.ndarray]:
+def _grid(
+    surface: AbstractSurface, domain: np.ndarray, counts: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Points spread evenly, shape (n1, n2, 3), and their marks, shape (n1 n2, 2)."""
-    (low_1, high_1), (low_2, high_2) = domain
     lines = [
-        np.linspace(low_1, high_1, counts[0]),
-        np.linspace(low_2, high_2, counts[1]),
+        np.linspace(float(low), float(high), count)
+        for (low, high), count in zip(domain, counts, strict=True)
     ]
     for left in (2, 1, 0):
         q = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -210,12 +216,13 @@ def _evened(line: np.ndarray, places: np.ndarray) -> np.ndarray:
     turn = np.zeros(len(line))
     turn[1:-1] = np.nansum(np.linalg.norm(np.diff(along, axis=0), axis=-1), axis=1)
     bend = 0.5 * (turn[1:] + turn[:-1])
-    density = sum(x / x.sum() for x in (arc, bend) if x.sum() > 0)
-    if np.ndim(density) == 0:
+    shares: list[np.ndarray] = [x / x.sum() for x in (arc, bend) if x.sum() > 0]
+    if not shares:
         return line
+    density = sum(shares)
     density = density + 0.05 * np.mean(density)
     reached = np.concatenate([[0.0], np.cumsum(density)])
-    return np.interp(np.linspace(0.0, reached[-1], len(line)), reached, line)
+    return np.interp(np.linspace(0.0, float(reached[-1]), len(line)), reached, line)
 
 
 def _triangles(points: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
@@ -248,7 +255,9 @@ def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return normals / np.where(length > 0, length, 1.0)
 
 
-def _faces(points, normals, touched, outward) -> float:
+def _faces(
+    points: np.ndarray, normals: np.ndarray, touched: np.ndarray, outward: np.ndarray
+) -> float:
     """Whether normals agree with those at the contact: positive, or negative."""
     some = np.linspace(0, len(touched) - 1, min(len(touched), 64)).astype(int)
     finite = np.isfinite(points).all(axis=1)
@@ -261,7 +270,7 @@ def _faces(points, normals, touched, outward) -> float:
 
 def _cells(places: np.ndarray) -> tuple[int, int]:
     """Squares of a pattern along both directions, of about equal sides and even."""
-    lengths = []
+    lengths: list[float] = []
     for axis in range(2):
         step = np.linalg.norm(np.diff(places, axis=axis), axis=-1)
         lengths.append(float(np.max(np.nansum(step, axis=axis))))
@@ -277,7 +286,10 @@ def _disc(radius: float, count: int) -> Mesh:
     """A thin lens whose edge is the sharp rim itself."""
     angle = np.linspace(-np.pi, np.pi, count)
     turn = (angle + np.pi) / (2 * np.pi)
-    points, normals, marks, triangles = [], [], [], []
+    points: list[np.ndarray] = []
+    normals: list[np.ndarray] = []
+    marks: list[np.ndarray] = []
+    triangles: list[np.ndarray] = []
     for side in (1.0, -1.0):
         # a flat face and a bevel: radii and heights of both ends, slope of the normal
         for r, z, lean in (

@@ -4,7 +4,7 @@ Everything is evaluated in one program and handed over as NumPy arrays in double
 precision, so that drawing never meets JAX's rules of shapes and dtypes.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -184,7 +184,7 @@ def motion_samples(trajectory: Trajectory) -> MotionSamples:
         masses=_masses(scene),
         base_moves=scene.base.motion is not None,
         kept=kept_energy(scene),
-        rounding=float(jnp.finfo(trajectory.time.dtype).eps),
+        rounding=float(cast(float, jnp.finfo(trajectory.time.dtype).eps)),
     )
 
 
@@ -237,7 +237,7 @@ def _base_row(base: BaseKinematics | None, like: Array) -> list[Array]:
 
 def _carried_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
     """Places of carried masses on body axes, one after the other."""
-    rows = []
+    rows: list[Array] = []
     for supported, alpha, rates in shares(
         scene.supported, state.alpha, state.alpha_dot
     ):
@@ -264,7 +264,7 @@ def _spread(part: SupportedBody) -> Float[Array, "3"]:
 
 def _masses(scene: Scene) -> np.ndarray:
     """Mass of every point of ``_carried_rows`` [kg]."""
-    masses = []
+    masses: list[np.ndarray] = []
     for supported in scene.supported:
         own = _own(supported)
         mass = np.asarray(own.mass, dtype=float)

@@ -1,6 +1,6 @@
 """The path of the contact point on the base: from above, or in space."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from .plot_style import FAINT, INK, RED, dress, limits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.collections import Collection
+    from matplotlib.ticker import MaxNLocator
+
+_Axes3D = Any  # mpl_toolkits has no types
 
 
 def draw_path(
@@ -57,8 +61,8 @@ def draw_path(
 
 
 def draw_path_in_space(
-    panel, motion: MotionSamples, base: AbstractSurface, size: float
-):
+    panel: _Axes3D, motion: MotionSamples, base: AbstractSurface, size: float
+) -> None:
     """Draw the contact's path on a curved base, coloured by time.
 
     Args:
@@ -111,7 +115,7 @@ def draw_path_in_space(
         _time_scale(panel, lines)
 
 
-def _turn_towards(panel, outward: np.ndarray) -> np.ndarray:
+def _turn_towards(panel: _Axes3D, outward: np.ndarray) -> np.ndarray:
     """Look from where most of the path is seen; which of its points face the eye."""
     x, y, z = np.mean(outward, axis=0)
     turn = np.degrees(np.arctan2(y, x)) if np.hypot(x, y) > 0.1 else -60.0
@@ -129,7 +133,7 @@ def _width(path: np.ndarray) -> float:
     return float(np.clip(8.0 / np.sqrt(max(turns, 1.0)), 0.5, 1.6))
 
 
-def _few_ticks():
+def _few_ticks() -> "MaxNLocator":
     from matplotlib.ticker import MaxNLocator
 
     return MaxNLocator(5)
@@ -155,18 +159,18 @@ def _length_unit(spread: float) -> tuple[float, str]:
     return (1e6, "µm") if spread > 0 else (1e3, "mm")
 
 
-def _mark_ends(panel, *columns: np.ndarray) -> None:
+def _mark_ends(panel: "Axes | _Axes3D", *columns: np.ndarray) -> None:
     if not columns[0].size:
         return
-    style = {"linestyle": "none", "markersize": 8, "zorder": 5}
+    style: dict[str, Any] = {"linestyle": "none", "markersize": 8, "zorder": 5}
     start, end = [c[:1] for c in columns], [c[-1:] for c in columns]
     panel.plot(*start, "o", mfc="white", mec=INK, mew=1.5, label="start", **style)
     panel.plot(*end, "s", mfc=RED, mec="white", mew=1.0, label="end", **style)
     panel.legend(loc="upper right", fontsize=9, framealpha=0.9, edgecolor=FAINT)
 
 
-def _time_scale(panel, lines) -> None:
-    bar = panel.figure.colorbar(lines, ax=panel, shrink=0.9, aspect=28)
+def _time_scale(panel: "Axes | _Axes3D", lines: "Collection") -> None:
+    bar: Any = panel.figure.colorbar(lines, ax=panel, shrink=0.9, aspect=28)
     bar.set_label("time [s]", color=INK)
     bar.solids.set_alpha(1.0)
     bar.ax.tick_params(colors=INK, labelsize=9)

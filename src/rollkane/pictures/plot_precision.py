@@ -1,5 +1,6 @@
 """The picture of what accuracy costs: error and energy error against time."""
 
+from collections.abc import Callable
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +53,9 @@ def figure_work_precision(work: WorkPrecision, title: str = "") -> "Figure":
     return figure
 
 
-def _draw(panel: "Axes", work: WorkPrecision, measure) -> None:
+def _draw(
+    panel: "Axes", work: WorkPrecision, measure: Callable[[Measured], float | None]
+) -> None:
     """A line for each series; colours by solver, dashes by method and the rest."""
     series = list(dict.fromkeys(row.setting.series for row in work.rows))
     solvers = list(dict.fromkeys(row.setting.solver for row in work.rows))
@@ -90,7 +93,7 @@ def _rest(row: Measured) -> tuple[str, str, str]:
     return setting.precision, setting.coordinates, setting.formulation
 
 
-def _dashes(row: Measured, others: list) -> Any:
+def _dashes(row: Measured, others: list[tuple[str, str, str]]) -> Any:
     rest = _rest(row)
     if rest == _USUAL:
         return "-" if row.setting.method == "native" else "--"

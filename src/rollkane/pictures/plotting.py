@@ -121,7 +121,7 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
 
 
 def plot_overview(
-    trajectory: Trajectory, path: str | os.PathLike, title: str = ""
+    trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
 ) -> None:
     """Write :func:`figure_overview` as a PNG file, whole or not at all.
 
@@ -139,7 +139,7 @@ def plot_overview(
 
 
 def plot_contact_path(
-    trajectory: Trajectory, path: str | os.PathLike, title: str = ""
+    trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
 ) -> None:
     """Write :func:`figure_contact_path` as a PNG file, whole or not at all.
 

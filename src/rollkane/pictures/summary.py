@@ -42,7 +42,7 @@ def summary(trajectory: Trajectory) -> list[str]:
     """
     motion = motion_samples(trajectory)
     rows = np.nonzero(motion.reached)[0]
-    lines = []
+    lines: list[str] = []
     if rows.size:
         motion = motion.rows(rows)
         lines += _spin_lines(trajectory, motion, rows)
@@ -124,7 +124,9 @@ def _line(name: str, text: str) -> str:
     return f"  {name:<18}{text}"
 
 
-def _spin_lines(trajectory: Trajectory, motion: MotionSamples, rows) -> list[str]:
+def _spin_lines(
+    trajectory: Trajectory, motion: MotionSamples, rows: np.ndarray
+) -> list[str]:
     """Spin about the normal and about the body axis next to it, with their reversals.
 
     The two change sign at different times where the body rocks: Kane and Levinson's
@@ -134,7 +136,7 @@ def _spin_lines(trajectory: Trajectory, motion: MotionSamples, rows) -> list[str
         np.asarray(x, dtype=float)[rows] for x in trajectory.each(_spins)
     )
     axis = int(np.argmax(np.abs(upwards[0])))
-    lines = []
+    lines: list[str] = []
     fastest = np.max(np.abs(motion.angular_velocity))
     for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
         spin = spins[:, k]
@@ -202,7 +204,7 @@ def _spins(scene: Scene, t: Array, state: Any) -> tuple[Array, Array, Array]:
         the base's normal; the base's normal on body axes [1], shape (3,).
     """
 
-    def spins(t, state):
+    def spins(t: Array, state: Any) -> tuple[Array, Array]:
         contact = contact_of(scene, t, state)
         upward, w = -contact.normal, contact.angular_velocity
         return jnp.concatenate([w, dot(upward, w)[None]]), upward

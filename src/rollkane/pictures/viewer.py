@@ -10,6 +10,7 @@ import json
 import os
 import re
 from importlib import resources
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ _SCRIPTS = ("three.bundle.js", "motion.js", "stage.js", "viewer.js")
 
 
 def write_view(
-    trajectory: Trajectory, path: str | os.PathLike, title: str = ""
+    trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
 ) -> None:
     """Write a trajectory as a self-contained page with a moving three-dimensional view.
 
@@ -69,7 +70,7 @@ def view_page(trajectory: Trajectory, title: str = "") -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda m: parts[m[1]], _asset("template.html"))
 
 
-def view_data(trajectory: Trajectory, title: str = "") -> dict:
+def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
     """What the page's programs are given, ready for JSON.
 
     Args:
@@ -125,7 +126,7 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict:
     }
 
 
-def _frames(motion: MotionSamples) -> dict:
+def _frames(motion: MotionSamples) -> dict[str, Any]:
     """Columns of at most ``MOST_FRAMES`` rows."""
     count = len(motion.time)
     kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
@@ -158,7 +159,7 @@ def _body_mesh(trajectory: Trajectory, motion: MotionSamples, size: float) -> Me
 
 def _base_data(
     trajectory: Trajectory, motion: MotionSamples, size: float
-) -> dict | None:
+) -> dict[str, Any] | None:
     """Mesh of the base; of a plane, which the page draws itself, only the word."""
     surface = trajectory.scene.base.surface
     if isinstance(surface, Plane):
@@ -169,7 +170,7 @@ def _base_data(
     return _mesh_data(mesh)
 
 
-def _mesh_data(mesh: Mesh) -> dict | None:
+def _mesh_data(mesh: Mesh) -> dict[str, Any] | None:
     """A mesh for JSON; None for one without triangles."""
     if not mesh.triangles.size:
         return None
@@ -189,7 +190,7 @@ def _mesh_data(mesh: Mesh) -> dict | None:
     }
 
 
-def _packed(array: np.ndarray, dtype: str, unit: float = 1.0) -> dict:
+def _packed(array: np.ndarray, dtype: str, unit: float = 1.0) -> dict[str, Any]:
     """An array for JSON; as whole numbers of a unit where dtype is one of integers."""
     if unit != 1.0:
         array = np.rint(array / unit)

@@ -246,14 +246,14 @@ def _extended(task: Task, steps: int) -> list[tuple[str, Trajectory]]:
             one follow by its order.
     """
     bits = np.finfo(np.longdouble).nmant + 1
-    within = lambda rtol: steps * (_COARSE / rtol) ** 0.2 <= _EXTENDED_STEPS
-    fine = next(filter(within, _EXTENDED), None)
+    within = [r for r in _EXTENDED if steps * (_COARSE / r) ** 0.2 <= _EXTENDED_STEPS]
+    fine = next(iter(within), None)
     if bits < _EXTENDED_BITS or fine is None:
         return []
     tolerances = fine, 10.0 * fine
     scene, start = task.scene, task.start
     times = np.array([0.0, task.horizon])
-    members = members_of(scene, jax.tree.map(lambda x: np.asarray(x)[None], start), 1)
+    members = members_of(scene, jax.tree.map(_alone, start), 1)
     how = None, dfx.Dopri5(), _MOST_STEPS
     try:
         loops = [
@@ -261,17 +261,30 @@ def _extended(task: Task, steps: int) -> list[tuple[str, Trajectory]]:
         ]
     except NotForLanesError:
         return []
+
+    def at_once(loop: LaneBlocks) -> tuple[np.ndarray, Any]:
+        return loop.run(*members.block(0, 1), 1)
+
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda loop: loop.run(*members.block(0, 1), 1), loops))
-    runs = []
+        found = list(pool.map(at_once, loops))
+    runs: list[tuple[str, Trajectory]] = []
     for loop, rtol, (y, out) in zip(loops, tolerances, found, strict=True):
         every = loop.states(y), out.code, out.final_time, loop.states(out.final_y)
-        state, code, *ended = jax.tree.map(lambda x: x[0], every)
+        state, code, *ended = jax.tree.map(_first, every)
         counts = out.steps[0], out.rejected_steps[0]
         parts: Any = times, state, scene, code, *ended, *counts
         run = Trajectory(*parts)
         runs.append((f"Dopri5 at {rtol:.0e} in {bits} bits", run))
     return runs
+
+
+def _alone(x: Any) -> np.ndarray:
+    """An array of one member."""
+    return np.asarray(x)[None]
+
+
+def _first(x: Any) -> Any:
+    return x[0]
 
 
 def _run(task: Task, setting: Setting) -> Trajectory:
@@ -281,12 +294,15 @@ def _run(task: Task, setting: Setting) -> Trajectory:
 def _ready(task: Task, setting: Setting) -> Callable[[], Trajectory]:
     """A run with everything at hand that a program would have."""
     dtype = PRECISIONS[setting.precision]
-    cast = lambda x: x.astype(dtype) if eqx.is_inexact_array(x) else x
-    scene, start = jax.tree.map(cast, (task.scene, task.start))
+
+    def converted(x: Any) -> Any:
+        return x.astype(dtype) if eqx.is_inexact_array(x) else x
+
+    scene, start = jax.tree.map(converted, (task.scene, task.start))
     times = np.array([0.0, task.horizon])
     options = setting.options(task.horizon)
 
-    def run():
+    def run() -> Trajectory:
         result = simulate(scene, start, times, **options)
         jax.block_until_ready(result.final_state)
         return result
@@ -333,7 +349,7 @@ def measured(
     began = time.perf_counter()
     run = ready()
     first.setdefault(setting.series, time.perf_counter() - began)
-    spans = []
+    spans: list[float] = []
     for _ in range(repeats):
         began = time.perf_counter()
         ready()

@@ -2,8 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, cast
 
 import diffrax as dfx
 import numpy as np
@@ -169,7 +169,8 @@ def work_precision(
         ]
     ]
     reference = reference_of(task)
-    rows, first = [], {}
+    rows: list[Measured] = []
+    first: dict[str, float] = {}
     skipped: dict[tuple[str, str], Setting] = {}
     for done, setting in enumerate(settings):
         if progress is not None:
@@ -234,7 +235,8 @@ def recommend(
     reference = reference_of(task)
     if method == "auto":
         method = reference.method
-    rows, first = [], {}
+    rows: list[Measured] = []
+    first: dict[str, float] = {}
     for solver in solvers:
         for rtol in (*TOLERANCES, 1e-13, 1e-14):
             setting = Setting(solver, rtol, None, method)
@@ -245,7 +247,13 @@ def recommend(
     return _fastest(tuple(rows), error, reference.certainty)
 
 
-def _check_choices(solvers, methods=(), precisions=(), coordinates=(), formulations=()):
+def _check_choices(
+    solvers: Iterable[str],
+    methods: Iterable[str] = (),
+    precisions: Iterable[str] = (),
+    coordinates: Iterable[str] = (),
+    formulations: Iterable[str] = (),
+) -> None:
     """Refuse names that nobody knows, before anything runs."""
     for solver in solvers:
         known = isinstance(getattr(dfx, solver, None), type)
@@ -270,9 +278,8 @@ def _check_choices(solvers, methods=(), precisions=(), coordinates=(), formulati
                 )
 
 
-def _fastest(rows: tuple[Measured, ...], error: float, certainty: float) -> Measured:
-    known = isinstance(error, (int, float, np.number)) and error > 0
-    if not known:
+def _fastest(rows: tuple[Measured, ...], error: object, certainty: float) -> Measured:
+    if not (isinstance(error, (int, float, np.number)) and error > 0):
         raise FieldError(
             "recommend.error", error, "must be a positive number", "give 1e-6"
         )
@@ -298,9 +305,9 @@ def _fastest(rows: tuple[Measured, ...], error: float, certainty: float) -> Meas
 def _plain(x: Any) -> Any:
     """What JSON can hold."""
     if isinstance(x, dict):
-        return {k: _plain(v) for k, v in x.items()}
+        return {k: _plain(v) for k, v in cast(dict[str, Any], x).items()}
     if isinstance(x, (list, tuple)):
-        return [_plain(v) for v in x]
+        return [_plain(v) for v in cast(Sequence[Any], x)]
     if isinstance(x, float) and not np.isfinite(x):
         return None
     return x

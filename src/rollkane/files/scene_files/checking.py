@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .positions import Path
+from .positions import Given, Path
 from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at
 
@@ -42,7 +42,7 @@ def check_document(document: dict[str, Any], report: Report) -> None:
     if likely is not None:
         for path, error in _errors(likely):
             _note(path, error, likely, report)
-    start = document.get("start")
+    start: Given = document.get("start")
     if isinstance(start, dict):
         for pair in _PAIRS:
             _check_pair(start, pair, report)
@@ -118,7 +118,7 @@ def _found(document: Any, path: Path) -> Any:
 
 
 def _kind_of(path: Path, document: dict[str, Any]) -> Any:
-    table = _found(document, path)
+    table: Given = _found(document, path)
     return table.get("kind") if isinstance(table, dict) else None
 
 
@@ -162,12 +162,13 @@ def _with_likely_kinds(document: dict[str, Any]) -> dict[str, Any] | None:
     paths: list[Path] = [("body", "surface"), ("base", "surface"), ("base", "motion")]
     paths.append(("contact",))
     for name in ("supported", "loads"):
-        parts = document.get(name)
+        parts: Given = document.get(name)
         count = len(parts) if isinstance(parts, list) else 0
         paths += [(name, i) for i in range(count)]
     for path in paths:
-        table, kinds = _found(changed, path), kinds_at(path)
-        if isinstance(table, dict) and (likely := likely_kind(table, kinds)):
+        table: Given = _found(changed, path)
+        likely = likely_kind(table, kinds_at(path)) if isinstance(table, dict) else None
+        if isinstance(table, dict) and likely:
             table["kind"] = likely
     return None if changed == document else changed
 

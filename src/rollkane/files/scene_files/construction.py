@@ -58,7 +58,7 @@ def attempt(
 ) -> Any:
     """What ``make`` makes, or None after noting each argument that it refuses."""
     stand_ins = STAND_INS if stand_ins is None else stand_ins
-    refused = set()
+    refused: set[str] = set()
     while True:
         try:
             made = make(**arguments)

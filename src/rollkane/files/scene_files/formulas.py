@@ -7,6 +7,7 @@ A formula is read by Python's own parser and then only walked over: numbers, nam
 import ast
 import math
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
 
@@ -27,14 +28,14 @@ FUNCTIONS = {
     "abs": jnp.abs,
 }
 CONSTANTS = {"pi": math.pi}
-_OPERATORS = {
+_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
     ast.Pow: operator.pow,
 }
-_WRITTEN_OTHERWISE = {
+_WRITTEN_OTHERWISE: dict[type[ast.AST], str] = {
     ast.BitXor: "write a power with **",
     ast.FloorDiv: "write a quotient with /",
     ast.Compare: "a formula has no conditions; write one smooth expression",
@@ -364,4 +365,5 @@ def _evaluated(node: ast.AST, names: dict[str, Any]) -> Any:
             return _OPERATORS[type(node.op)](left, right)
         case ast.Call(func=ast.Name(id=name)):
             return FUNCTIONS[name](_evaluated(node.args[0], names))
-    raise AssertionError(f"unchecked formula node {type(node).__name__}")
+        case _:
+            raise AssertionError(f"unchecked formula node {type(node).__name__}")

@@ -1,5 +1,6 @@
 """From checked tables to loads, the contact law, and how the contact may change."""
 
+from collections.abc import Callable
 from typing import Any
 
 from ...dynamics.friction import CoulombFriction, StribeckFriction, ViscousFriction
@@ -10,8 +11,9 @@ from ...hybrid.modes import Modes
 from .checking import likely_kind
 from .construction import attempt, noting, usable
 from .load_tables import CONTACTS, LOADS, ModesTable
-from .positions import Path
+from .positions import Given, Path
 from .problems import Report
+from .table_types import Table
 
 _LOADS = {
     "gravity": Gravity,
@@ -30,7 +32,7 @@ _LAWS = {
 
 def loads_of(report: Report) -> tuple[AbstractLoad, ...] | None:
     """Loads of a file; None where something was wrong."""
-    given = report.document.get("loads")
+    given: Given = report.document.get("loads")
     if given is None:
         return (Gravity(),)
     made = [
@@ -60,7 +62,13 @@ def modes_of(report: Report) -> Modes | None:
     return attempt(Modes, arguments, noting(("modes",), fields, report))
 
 
-def _made(path: Path, table: Any, known: dict, makers: dict, report: Report) -> Any:
+def _made(
+    path: Path,
+    table: Given,
+    known: dict[str, type[Table]],
+    makers: dict[str, Callable[..., Any]],
+    report: Report,
+) -> Any:
     """What a table with a kind describes; None where it cannot be made."""
     kind = likely_kind(table, known) if isinstance(table, dict) else None
     if kind is None:

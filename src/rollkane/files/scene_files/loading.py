@@ -101,7 +101,7 @@ def builtin_scenes() -> dict[str, str]:
     Returns:
         Name to first line of the description, by name.
     """
-    lines = {}
+    lines: dict[str, str] = {}
     for name, file in sorted(_builtin_files().items()):
         description = tomllib.loads(file.read_text(encoding="utf-8"))["description"]
         lines[name] = description.strip().split("\n")[0]

@@ -1,7 +1,7 @@
 """Motions of the base and carried masses, from their tables."""
 
 from pathlib import Path as FilePath
-from typing import Any
+from typing import Any, cast
 
 from ...dynamics.supported import (
     AbstractSupported,
@@ -33,7 +33,7 @@ from .formulas import (
     parse,
 )
 from .moving_tables import MOTIONS, SUPPORTED, RecordTable
-from .positions import Path
+from .positions import Given, Path
 from .problems import Report
 
 _MOTION: Path = ("base", "motion")
@@ -59,7 +59,7 @@ def checked_formulas(
         coordinates: Names that stand for coordinates.
         report: Takes the problems.
     """
-    given = report.value(path).get("parameters", {})
+    given: Given = report.value(path).get("parameters", {})
     parameters = tuple(given) if isinstance(given, dict) else ()
     for name in parameters:
         taken = name in (*coordinates, *FUNCTIONS, *CONSTANTS)
@@ -81,7 +81,7 @@ def checked_formulas(
 
 def motion_of(report: Report) -> AbstractBaseMotion | None:
     """The base's motion; None for none, or where something was wrong with it."""
-    table = report.document.get("base", {}).get("motion")
+    table: Given = report.document.get("base", {}).get("motion")
     if not isinstance(table, dict):
         return None
     kind = likely_kind(table, MOTIONS)
@@ -110,8 +110,9 @@ def _spin(table: dict[str, Any], report: Report) -> Spin | None:
 
 def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, Any]]:
     """Places and texts of a list of formulas, also of rows of them."""
-    found = []
-    for i, entry in enumerate(table.get(name) or ()):
+    found: list[tuple[Path, Any]] = []
+    given: list[list[Any] | str] = table.get(name) or []
+    for i, entry in enumerate(given):
         if isinstance(entry, list):
             found += [((*path, name, i, j), text) for j, text in enumerate(entry)]
         else:
@@ -122,7 +123,8 @@ def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, An
 def _turns(
     path: Path, table: dict[str, Any], coordinates: tuple[str, ...], report: Report
 ) -> TurnsFormula:
-    turns = [turn for turn in table.get("rotations") or () if isinstance(turn, list)]
+    given: list[list[Any] | str] = table.get("rotations") or []
+    turns = [turn for turn in given if isinstance(turn, list)]
     texts = [
         ((*path, "rotations", i, 1), turn[1] if len(turn) > 1 else None)
         for i, turn in enumerate(turns)
@@ -205,13 +207,18 @@ def _read(asked: RecordTable, report: Report) -> Accelerogram | None:
 
 def supported_of(report: Report) -> tuple[AbstractSupported, ...] | None:
     """What the body carries; None where something was wrong with it."""
-    given = report.document.get("supported")
-    parts = []
-    for i, table in enumerate(given if isinstance(given, list) else ()):
-        kind = likely_kind(table, SUPPORTED) if isinstance(table, dict) else None
+    given: Given = report.document.get("supported")
+    parts: list[AbstractSupported | None] = []
+    tables: list[Given] = given if isinstance(given, list) else []
+    for i, table in enumerate(tables):
+        if not isinstance(table, dict):
+            continue
+        kind = likely_kind(table, SUPPORTED)
         if kind is not None:
             parts.append(_part(("supported", i), kind, table, report))
-    return None if report.has_below(("supported",)) else tuple(parts)
+    if report.has_below(("supported",)):
+        return None
+    return tuple(cast(list[AbstractSupported], parts))  # what is None has been noted
 
 
 def _part(
@@ -258,7 +265,7 @@ def _part(
 
 def _check_names(path: Path, table: dict[str, Any], report: Report) -> None:
     """Names of coordinates must be names, each once, and free."""
-    names = table.get("coordinates")
+    names: Given = table.get("coordinates")
     taken = {"t", *FUNCTIONS, *CONSTANTS}
     for i, name in enumerate(names if isinstance(names, list) else ()):
         if not isinstance(name, str):

@@ -6,9 +6,11 @@ checks nothing, and never has to decide what a number or a date is.
 """
 
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 Path = tuple[str | int, ...]
+# what a file gives at a path (dates, which no field takes, are not listed)
+Given = dict[str, Any] | list[Any] | str | float | None
 
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _BLANK = re.compile(r"(?:[ \t\n]|#[^\n]*)*")
@@ -69,7 +71,7 @@ class _Scanner:
                 self.key_value(table)
             self.skip(_BLANK)
 
-    def skip(self, pattern: re.Pattern) -> str:
+    def skip(self, pattern: re.Pattern[str]) -> str:
         """Go on behind what a pattern matches here; its text."""
         match = pattern.match(self.text, self.at)
         assert match is not None  # every pattern used here matches the empty string

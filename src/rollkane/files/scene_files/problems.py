@@ -72,7 +72,7 @@ class Report:
         """
         self.file, self.text, self.document = file, text, document
         self.places: dict[Path, Place] = {}
-        self._found: dict[tuple, tuple[int, Problem]] = {}
+        self._found: dict[tuple[str, str], tuple[int, Problem]] = {}
 
     def add(
         self,
@@ -159,7 +159,9 @@ class Report:
         newline = 1 if mark == 3 and source[3:4] == "\n" else 0
         return mark + newline + shift
 
-    def _note(self, offset, field, problem, value, remedy) -> None:
+    def _note(
+        self, offset: int, field: str, problem: str, value: str | None, remedy: str
+    ) -> None:
         line, column = line_and_column(self.text, offset)
         source = self.text.split("\n")[line - 1]
         self._found.setdefault(

@@ -6,7 +6,7 @@ again, so that all bad fields of all parts are known at once.
 """
 
 import functools
-from typing import Any
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +38,7 @@ from .construction import attempt, noting, product_of_turns, usable
 from .formulas import Formula
 from .load_building import contact_of, loads_of, modes_of
 from .motion_building import checked_formulas, motion_of, supported_of
-from .positions import Path
+from .positions import Given, Path
 from .problems import Report
 from .tables import SURFACES, StartTable
 
@@ -110,9 +110,9 @@ def _base(report: Report) -> Base | None:
     )
 
 
-def _surface(path: Path, report: Report) -> AbstractSurface | None:
-    owner = report.document.get(path[0])
-    table = owner.get(path[1]) if isinstance(owner, dict) else None
+def _surface(path: tuple[str, str], report: Report) -> AbstractSurface | None:
+    owner: Given = report.document.get(path[0])
+    table: Given = owner.get(path[1]) if isinstance(owner, dict) else None
     if not isinstance(table, dict):
         return None
     kind = likely_kind(table)
@@ -149,7 +149,7 @@ def _check_tolerance(report: Report) -> None:
     if not isinstance(run, dict) or "rtol" not in run:
         return
     dtype = jnp.result_type(float)
-    least = 10 * float(jnp.finfo(dtype).eps)
+    least = 10 * float(cast(float, jnp.finfo(dtype).eps))
     if report.has_below(("run", "rtol")):
         return
     if run["rtol"] < least:

@@ -1,5 +1,6 @@
 """The catalogue of surfaces, for the body and for the base."""
 
+from .abstract_surface import AbstractSurface as AbstractSurface
 from .catalogue import Cylinder as Cylinder
 from .catalogue import Ellipsoid as Ellipsoid
 from .catalogue import Plane as Plane
@@ -11,7 +12,6 @@ from .edges import DiscEdge as DiscEdge
 from .edges import Ring as Ring
 from .kinds import AbstractNormalSurface as AbstractNormalSurface
 from .kinds import AbstractPointSurface as AbstractPointSurface
-from .kinds import AbstractSurface as AbstractSurface
 from .revolution import Revolution as Revolution
 from .user_surfaces import Graph as Graph
 from .user_surfaces import Implicit as Implicit

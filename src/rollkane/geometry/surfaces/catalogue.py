@@ -4,21 +4,21 @@ Lengths in metres, axes those of the body or of the base. ``inside=True`` turns 
 outward side round: the material is outside and the other body touches from within.
 """
 
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ...validation.checks import flag, is_traced, positive, real, refuse
 from ..local_geometry import LocalGeometry
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .directions import PointOfNormal, longitude_latitude
+from .directions import NormalHeading, PointOfNormal, Range, longitude_latitude
 from .edges import in_plane
 from .kinds import AbstractNormalSurface, AbstractPairSurface
-
-Range = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Plane(AbstractPairSurface):
@@ -91,7 +91,12 @@ class Sphere(AbstractNormalSurface):
     center: Float[Array, "3"]
     inside: bool = eqx.field(static=True)
 
-    def __init__(self, radius, center=(0.0, 0.0, 0.0), inside: bool = False):
+    def __init__(
+        self,
+        radius: ArrayLike,
+        center: ArrayLike | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
+        inside: bool = False,
+    ):
         """Make a sphere.
 
         Args:
@@ -121,7 +126,7 @@ class Sphere(AbstractNormalSurface):
         return not self.inside
 
     @property
-    def hull(self):
+    def hull(self) -> Callable[[np.ndarray], bool] | None:
         """Whether a point is in the sphere, if that may be the whole body."""
         if self.inside or np.any(np.asarray(self.center)):
             return None
@@ -146,7 +151,12 @@ class Ellipsoid(AbstractNormalSurface):
     center: Float[Array, "3"]
     inside: bool = eqx.field(static=True)
 
-    def __init__(self, semi_axes, center=(0.0, 0.0, 0.0), inside: bool = False):
+    def __init__(
+        self,
+        semi_axes: ArrayLike | Sequence[ArrayLike],
+        center: ArrayLike | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
+        inside: bool = False,
+    ):
         """Make an ellipsoid.
 
         Args:
@@ -179,7 +189,7 @@ class Ellipsoid(AbstractNormalSurface):
         return not self.inside
 
     @property
-    def hull(self):
+    def hull(self) -> Callable[[np.ndarray], bool] | None:
         """Whether a point is in the ellipsoid, if that may be the whole body."""
         if self.inside or np.any(np.asarray(self.center)):
             return None
@@ -195,7 +205,7 @@ class Ellipsoid(AbstractNormalSurface):
         return -out if self.inside else out
 
 
-def _known(x: Array):
+def _known(x: Array) -> Any:
     """A number for comparison, by NumPy where it is known."""
     return x if is_traced(x) else np.asarray(x)
 
@@ -216,7 +226,9 @@ class Torus(AbstractPairSurface):
     minor_radius: Float[Array, ""]
     inside: bool = eqx.field(static=True)
 
-    def __init__(self, major_radius, minor_radius, inside: bool = False):
+    def __init__(
+        self, major_radius: ArrayLike, minor_radius: ArrayLike, inside: bool = False
+    ):
         """Make a torus.
 
         Args:
@@ -285,7 +297,7 @@ class Torus(AbstractPairSurface):
         stretch = self.major_radius * along + self.minor_radius
         return jnp.stack([n1 * stretch, n2 * stretch, n3 * self.minor_radius])
 
-    def normal_heading(self, against_plane: bool):
+    def normal_heading(self, against_plane: bool) -> NormalHeading | None:
         """On a plane, the normal's part in the plane of the ring; else None."""
         return None if self.normal_map(against_plane) is None else in_plane
 
@@ -311,7 +323,7 @@ class Cylinder(AbstractPairSurface):
     radius: Float[Array, ""]
     inside: bool = eqx.field(static=True)
 
-    def __init__(self, radius, inside: bool = False):
+    def __init__(self, radius: ArrayLike, inside: bool = False):
         """Make a cylinder.
 
         Args:

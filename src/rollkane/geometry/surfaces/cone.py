@@ -5,15 +5,14 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ...validation.checks import flag, is_traced, real, refuse
 from ..local_geometry import LocalGeometry
 from ..small_linear import components, inverse_sqrt, norm
-from .directions import grid_of, grid_spacing
+from .directions import Range, grid_of, grid_spacing
 from .kinds import AbstractPointSurface
-
-Range = tuple[tuple[float, float], tuple[float, float]]
 
 
 class Cone(AbstractPointSurface):
@@ -28,12 +27,12 @@ class Cone(AbstractPointSurface):
         inside: True where the other body is above (material below), else it is below.
     """
 
-    coordinate_count: ClassVar[int] = 3
+    coordinate_count = 3
     is_bounded: ClassVar[bool] = False
     slope: Float[Array, ""]
     inside: bool = eqx.field(static=True)
 
-    def __init__(self, slope, inside: bool = False):
+    def __init__(self, slope: ArrayLike, inside: bool = False):
         """Make a cone.
 
         Args:

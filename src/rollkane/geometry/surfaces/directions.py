@@ -1,28 +1,48 @@
-"""Directions and grids: coordinates of a sphere, and samples of surfaces."""
+"""Directions and grids: coordinates of a sphere, domains and samples of surfaces."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...validation.checks import FieldError
 from ..local_geometry import LocalGeometry, from_chart
 from ..rotations import tangent_pair
 from ..small_linear import components, dot, norm
 
 PointOfNormal = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+Range = tuple[tuple[float, float], tuple[float, float]]  # of two coordinates
+# the part of a normal that must not vanish (AbstractSurface.normal_heading)
+NormalHeading = Callable[[Float[Array, "3"]], Float[Array, "2"]]
+SPHERE: Range = (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)  # as of direction_of
 SPHERE_SAMPLES = 400
 SPHERE_SPACING = (4.0 * np.pi / SPHERE_SAMPLES) ** 0.5  # [rad]
 _PAIR_SAMPLES = 31  # along each of two coordinates
 
 
-def grid_of(domain: tuple) -> np.ndarray:
+def domain_of(field: str, domain: object, count: int) -> tuple[Any, ...]:
+    """Static ranges ((low, high), ...) from a user's domain, checked."""
+    try:
+        ranges = np.asarray(domain, dtype=float).reshape(count, 2)
+    except (TypeError, ValueError) as error:
+        wanted = "(low, high)" if count == 1 else "((low, high), (low, high))"
+        raise FieldError(field, domain, "must be ranges", f"give {wanted}") from error
+    if not (np.all(np.isfinite(ranges)) and np.all(ranges[:, 0] < ranges[:, 1])):
+        raise FieldError(
+            field, domain, "must be finite with low < high", "order the limits"
+        )
+    return tuple((float(low), float(high)) for low, high in ranges)
+
+
+def grid_of(domain: Range) -> np.ndarray:
     """Pairs of coordinates over two ranges, shape (n, 2)."""
     grids = [np.linspace(low, high, _PAIR_SAMPLES) for low, high in domain]
     return np.stack(np.meshgrid(*grids), axis=-1).reshape(-1, 2)
 
 
-def grid_spacing(domain: tuple) -> tuple[float, float]:
+def grid_spacing(domain: Range) -> tuple[float, float]:
     """Distances of the pairs of ``grid_of`` along both coordinates."""
     first, second = ((high - low) / (_PAIR_SAMPLES - 1) for low, high in domain)
     return first, second
@@ -55,7 +75,7 @@ def direction_chart(
     direction = u / norm(u)
     t1, t2 = tangent_pair(direction)
 
-    def local(x):
+    def local(x: Float[Array, "2"]) -> Array:
         turned = direction + x[0] * t1 + x[1] * t2
         return position(turned / jnp.sqrt(dot(turned, turned)))
 

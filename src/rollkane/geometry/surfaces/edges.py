@@ -5,20 +5,18 @@ the other surface: the contact of a ring goes on round the wire, that of a disc 
 on to its face.
 """
 
-from collections.abc import Callable
-from typing import ClassVar
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ...validation.checks import positive
 from ..local_geometry import LocalGeometry
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .directions import PointOfNormal, grid_of, grid_spacing
+from .directions import NormalHeading, PointOfNormal, Range, grid_of, grid_spacing
 from .kinds import AbstractNormalSurface, AbstractPointSurface
-
-Range = tuple[tuple[float, float], tuple[float, float]]
 
 
 def in_plane(normal: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -33,7 +31,9 @@ def _rim_point(radius: Array, normal: Float[Array, "3"]) -> Float[Array, "3"]:
     return jnp.stack([n1 * stretch, n2 * stretch, jnp.zeros_like(stretch)])
 
 
-def _on_wire(radius, along, across) -> LocalGeometry:
+def _on_wire(
+    radius: Float[Array, ""], along: Float[Array, "2"], across: Float[Array, "2"]
+) -> LocalGeometry:
     """Geometry of a wire without thickness.
 
     Args:
@@ -75,7 +75,7 @@ class DiscEdge(AbstractNormalSurface):
 
     radius: Float[Array, ""]
 
-    def __init__(self, radius):
+    def __init__(self, radius: ArrayLike):
         """Make a rim.
 
         Args:
@@ -95,7 +95,7 @@ class DiscEdge(AbstractNormalSurface):
         """Rim point below the normal's part in the plane of the disc [m]."""
         return _rim_point(self.radius, normal)
 
-    def normal_heading(self, against_plane: bool) -> Callable:
+    def normal_heading(self, against_plane: bool) -> NormalHeading:
         """The normal's part in the plane of the disc."""
         del against_plane
         return in_plane
@@ -146,10 +146,10 @@ class Ring(AbstractPointSurface):
         radius: [m].
     """
 
-    coordinate_count: ClassVar[int] = 4
+    coordinate_count = 4
     radius: Float[Array, ""]
 
-    def __init__(self, radius):
+    def __init__(self, radius: ArrayLike):
         """Make a ring.
 
         Args:
@@ -166,7 +166,7 @@ class Ring(AbstractPointSurface):
             return None
         return lambda normal: _rim_point(self.radius, normal)
 
-    def normal_heading(self, against_plane: bool) -> Callable | None:
+    def normal_heading(self, against_plane: bool) -> NormalHeading | None:
         """On a plane, the normal's part in the plane of the ring."""
         return in_plane if against_plane else None
 
@@ -205,7 +205,7 @@ class Ring(AbstractPointSurface):
         flat = in_plane(normal)
         size = dot(flat, flat)
         # a ring that lies flat but for rounding
-        lies = size < (100 * jnp.finfo(normal.dtype).eps) ** 2
+        lies = size < (100 * cast(float, jnp.finfo(normal.dtype).eps)) ** 2
         along = flat * inverse_sqrt(jnp.where(lies, jnp.nan, size))
         if near is not None:
             chosen = _unit(near[:2])

@@ -1,4 +1,4 @@
-"""What every surface can do, and the two ways in which it can carry a contact point.
+"""The two ways in which a surface can carry a contact point.
 
 A surface is *parametrized by its normal* when that determines the point (sphere,
 ellipsoid, rim): then the normal itself is the coordinate and edges are ordinary. Every
@@ -7,9 +7,8 @@ other surface has *explicit contact coordinates*, on a manifold without poles.
 
 import abc
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,10 +17,13 @@ from jaxtyping import Array, Float
 from ..local_geometry import LocalGeometry, from_chart, from_normal
 from ..rotations import tangent_pair
 from ..small_linear import norm, solve_2x2
+from .abstract_surface import AbstractSurface
 from .directions import (
+    SPHERE,
     SPHERE_SAMPLES,
     SPHERE_SPACING,
     PointOfNormal,
+    Range,
     direction_of,
     direction_rates,
     grid_of,
@@ -30,155 +32,14 @@ from .directions import (
     sphere_of_directions,
 )
 
-
-class AbstractSurface(eqx.Module):
-    """A surface fixed in its owner's axes, with an outward side.
-
-    Coordinates ``u`` are those of the contact state: without poles, of shape
-    (coordinate_count,). Rates ``x`` of shape (2,) are taken in local coordinates at a
-    point, those to which the ``L`` and ``W`` of its :class:`LocalGeometry` belong.
-    """
-
-    coordinate_count: eqx.AbstractClassVar[int]
-    is_flat: ClassVar[bool] = False
-    is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
-
-    @abc.abstractmethod
-    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
-        """Local geometry at coordinates ``u``; differentiates the surface once."""
-
-    @abc.abstractmethod
-    def coordinate_rates(
-        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
-    ) -> Float[Array, " k"]:
-        """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
-
-    def units(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
-        """What local coordinates are measured by: metres beside angles by a length."""
-        return jnp.ones(2, u.dtype)
-
-    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
-        """Coordinates projected onto their manifold after a finite step."""
-        return u
-
-    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
-        """The point at coordinates ``u`` [m], without its geometry."""
-        return self.geometry(u).position
-
-    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
-        """Coordinates of a point beside, by a finite step in local coordinates."""
-        return self.settled(u + self.coordinate_rates(u, self.geometry(u), x))
-
-    @abc.abstractmethod
-    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
-        """Coordinates of the surface point at, or near, a point [m]."""
-
-    @abc.abstractmethod
-    def samples(self) -> np.ndarray | Array:
-        """Coordinates over the whole surface, shape (n, k): seeds of searches."""
-
-    @abc.abstractmethod
-    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
-        """Two-parameter chart, for drawing and for Voronets coordinates [m]."""
-
-    @property
-    @abc.abstractmethod
-    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Ranges of the chart's two parameters that cover the surface once."""
-
-    @abc.abstractmethod
-    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
-        """Local geometry in the chart, with ``spin_rates``."""
-
-    @abc.abstractmethod
-    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
-        """Chart coordinates of the point with contact coordinates ``u``."""
-
-    @abc.abstractmethod
-    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
-        """Contact coordinates of the point with chart coordinates ``q``."""
-
-    @property
-    def is_convex(self) -> bool:
-        """Whether the material is convex: two such bodies touch at one place only."""
-        return False
-
-    @property
-    def hull(self) -> Callable[[np.ndarray], bool] | None:
-        """Whether a point [m] is in the body's convex hull, by NumPy.
-
-        None: not known, as of a surface that may be a part of the body only (a foot).
-        """
-        return None
-
-    @property
-    @abc.abstractmethod
-    def spacing(self) -> tuple[Any, Any]:
-        """Distance of neighbouring samples, in the local coordinates."""
-
-    def lattice(self) -> np.ndarray:
-        """Numbers, one row for each sample, of which near ones belong to near samples.
-
-        So that neighbours are known without a value of the surface.
-        """
-        return np.asarray(self.samples())
-
-    def face_points(self) -> Float[Array, "n 3"] | None:
-        """Points of the body that its surface leaves out [m]; None: there are none."""
-
-    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
-        """Distance of a point from the surface [m], negative in the material.
-
-        Of first order near the surface, of the right sign everywhere; infinite where
-        the surface does not reach. None: it has no inside (a wire), or none is known.
-        """
-        del point
-
-    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
-        """Positive while a contact point is on the surface; None: it has no end.
-
-        A contact that comes to zero has come to a rim, a tip or a face.
-        """
-        del u
-
-    def chart_extent(self, q: Float[Array, "2"]) -> Float[Array, ""] | None:
-        """The same in chart coordinates."""
-        return self.extent(self.chart_inverse(q))
-
-    def normal_heading(
-        self, against_plane: bool
-    ) -> Callable[[Float[Array, "3"]], Float[Array, "2"]] | None:
-        """Part of the normal that must not vanish; of a surface parametrized by it.
-
-        Where it does, the inverse Gauss map jumps: a whole face or circle has that
-        normal. No step of a run may reverse it. None: the map is continuous.
-
-        Args:
-            against_plane: Whether the other surface is a plane.
-        """
-        del against_plane
-
-    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Chart coordinates where the outward normal is the given one.
-
-        Only for surfaces parametrized by their normal.
-        """
-        return longitude_latitude(normal)
-
-    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
-        """The map from outward normal to point, where the normal determines it.
-
-        Args:
-            against_plane: Whether the other surface is a plane.
-        """
-        del against_plane
-        return None
+# local rates at a place, of one step of a search
+_Step = Callable[[LocalGeometry], Float[Array, "2"]]
 
 
 class AbstractNormalSurface(AbstractSurface):
     """A surface parametrized by its normal, its coordinate (inverse Gauss map)."""
 
-    coordinate_count: ClassVar[int] = 3
+    coordinate_count = 3
 
     @abc.abstractmethod
     def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:
@@ -217,9 +78,9 @@ class AbstractNormalSurface(AbstractSurface):
         return SPHERE_SPACING, SPHERE_SPACING
 
     @property
-    def chart_domain(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def chart_domain(self) -> Range:
         """Longitude and latitude of the normal [rad]."""
-        return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+        return SPHERE
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Point whose outward normal has longitude q1 and latitude q2 [rad]."""
@@ -268,16 +129,25 @@ class AbstractPointSurface(AbstractSurface):
         point = jax.lax.stop_gradient(point)
         step, longest = _step_to(point), self._search_step()
         seed = self._nearest_sample(point)
-        advance = lambda u, _: (self._advanced(u, step, longest), None)
+
+        def advance(u: Array, _: None) -> tuple[Array, None]:
+            return self._advanced(u, step, longest), None
+
+        def gap(u: Array) -> Array:
+            return norm(self.geometry(u).position - point)
+
         u, _ = jax.lax.scan(advance, seed, length=8)
         # far from a bent surface the steps do not converge
-        gap = lambda u: norm(self.geometry(u).position - point)
         u = jnp.where(gap(u) < gap(seed), u, seed)
         return u, self.geometry(u)
 
     def _nearest_sample(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         seeds = jnp.asarray(self.samples(), dtype=point.dtype)
-        gaps = jax.vmap(lambda u: norm(self.geometry(u).position - point))(seeds)
+
+        def gap(u: Array) -> Array:
+            return norm(self.geometry(u).position - point)
+
+        gaps = jax.vmap(gap)(seeds)
         return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
 
     def find_normal(
@@ -292,8 +162,8 @@ class AbstractPointSurface(AbstractSurface):
         fixed = jax.lax.stop_gradient(normal)
         seed = self._outermost(fixed) if near is None else self.locate(near)
 
-        def towards(target):
-            def gap(geometry):
+        def towards(target: Array) -> _Step:
+            def gap(geometry: LocalGeometry) -> Array:
                 turn = geometry.frame[:, :2].T @ target  # that the normal still needs
                 return _least_turn(-geometry.frame_rates, turn)
 
@@ -313,16 +183,24 @@ class AbstractPointSurface(AbstractSurface):
         score = height + spread * jnp.minimum(facing - 0.5, 0.0) - far
         return seeds[jnp.argmax(jnp.where(jnp.isfinite(score), score, -jnp.inf))]
 
-    def _refine(self, seed, step_to_fixed, step_to_moving) -> Array:
+    def _refine(
+        self, seed: Float[Array, " k"], step_to_fixed: _Step, step_to_moving: _Step
+    ) -> Float[Array, " k"]:
         """Newton steps from a seed; the last two carry the derivative."""
         longest = self._search_step()
-        advance = lambda _, u: self._advanced(u, step_to_fixed, longest)
-        u = jax.lax.stop_gradient(jax.lax.fori_loop(0, 60, advance, seed))
+
+        def advance(_: Array, u: Array) -> Array:
+            return self._advanced(u, step_to_fixed, longest)
+
+        found = cast(Array, jax.lax.fori_loop(0, 60, advance, seed))
+        u = jax.lax.stop_gradient(found)
         for _ in range(2):
             u = self._advanced(u, step_to_moving, longest)
         return u
 
-    def _advanced(self, u, step: Callable, longest) -> Array:
+    def _advanced(
+        self, u: Float[Array, " k"], step: _Step, longest: Float[Array, ""]
+    ) -> Float[Array, " k"]:
         """Coordinates after one step of a search, which is cut to a length [m]."""
         geometry = self.geometry(u)
         x = step(geometry)
@@ -333,8 +211,11 @@ class AbstractPointSurface(AbstractSurface):
     def _search_step(self) -> Float[Array, ""]:
         """Longest step of a search [m]: a tenth of the sampled extent."""
         seeds = jnp.asarray(self.samples())
-        places = jax.vmap(lambda u: self.geometry(u).position)(seeds)
-        places = jax.lax.stop_gradient(places)
+
+        def place(u: Array) -> Array:
+            return self.geometry(u).position
+
+        places = jax.lax.stop_gradient(jax.vmap(place)(seeds))
         places = jnp.where(jnp.isfinite(places), places, 0.0)
         return 0.1 * jnp.max(jnp.max(places, axis=0) - jnp.min(places, axis=0))
 
@@ -342,7 +223,7 @@ class AbstractPointSurface(AbstractSurface):
 class AbstractPairSurface(AbstractPointSurface):
     """A surface whose contact coordinates are a pair, by one chart without poles."""
 
-    coordinate_count: ClassVar[int] = 2
+    coordinate_count = 2
 
     @property
     @abc.abstractmethod
@@ -394,17 +275,19 @@ class AbstractPairSurface(AbstractPointSurface):
         return grid_spacing(self.chart_domain)
 
 
-def _step_to(target: Float[Array, "3"]) -> Callable[[LocalGeometry], Array]:
+def _step_to(target: Float[Array, "3"]) -> _Step:
     """The Gauss-Newton step along a surface towards the point next to a target."""
 
-    def step(geometry):
+    def step(geometry: LocalGeometry) -> Array:
         offset = target - geometry.position
         return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
 
     return step
 
 
-def _least_turn(matrix: Float[Array, "2 2"], turn: Float[Array, "2"]):
+def _least_turn(
+    matrix: Float[Array, "2 2"], turn: Float[Array, "2"]
+) -> Float[Array, "2"]:
     """Smallest x with ``matrix x = turn``, also where one way does not turn at all.
 
     A cylinder's generator keeps the normal: its point then stays where it was.

@@ -1,30 +1,38 @@
 """Surfaces of revolution by their meridian, smooth where it meets the axis."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ...validation.checks import FieldError, flag, is_traced
+from ...validation.checks import flag
 from ...validation.user_functions import UserFunction, check_output
 from ..local_geometry import LocalGeometry, from_chart
 from ..small_linear import components, dot, norm
 from .directions import (
     SPHERE_SAMPLES,
     SPHERE_SPACING,
+    Range,
     direction_rates,
+    domain_of,
     grid_of,
     grid_spacing,
     sphere_of_directions,
 )
 from .kinds import AbstractPointSurface
-from .user_surfaces import Range, domain_of
-
-_DENSE = 257  # points of a meridian, where it is searched as a whole
+from .meridians import (
+    DENSE,
+    found_poles,
+    found_rising,
+    meridian_of,
+    refuse_tips,
+    sampled,
+)
 
 
 class _OnMeridian(NamedTuple):
@@ -64,11 +72,11 @@ class Revolution(AbstractPointSurface):
 
     def __init__(
         self,
-        profile,
-        parameters=None,
-        domain=(0.0, np.pi),
-        poles=None,
-        rising=None,
+        profile: Callable[..., Any],
+        parameters: Any = None,
+        domain: ArrayLike | Sequence[float] = (0.0, np.pi),
+        poles: tuple[bool, bool] | None = None,
+        rising: bool | None = None,
         inside: bool = False,
     ):
         """Make a surface of revolution.
@@ -100,16 +108,16 @@ class Revolution(AbstractPointSurface):
         self.profile = UserFunction("Revolution.profile", profile, 1, parameters)
         (self.domain,) = domain_of("Revolution.domain", domain, 1)
         self.inside = flag("Revolution.inside", inside)
-        meridian = _meridian(self.profile)
+        meridian = meridian_of(self.profile)
         check_output("Revolution.profile", meridian, jnp.zeros(()), (2,))
         if poles is None or rising is None:
-            places = _sampled(meridian, self.domain)
-            poles = _found_poles(places) if poles is None else poles
-            rising = _found_rising(places) if rising is None else rising
+            places = sampled(meridian, self.domain)
+            poles = found_poles(places) if poles is None else poles
+            rising = found_rising(places) if rising is None else rising
         first, last = poles
         self.poles = flag("Revolution.poles", first), flag("Revolution.poles", last)
         self.rising = flag("Revolution.rising", rising)
-        _refuse_tips(meridian, self.domain, self.poles)
+        refuse_tips(meridian, self.domain, self.poles)
         self.coordinate_count = 3 if all(self.poles) else 2
 
     @property
@@ -147,8 +155,8 @@ class Revolution(AbstractPointSurface):
         cosine, sine, across = place.cosine, place.sine, place.across
         x, y = place.way
 
-        def slope(s):
-            return jax.jvp(_meridian(self.profile), (s,), (jnp.ones_like(s),))
+        def slope(s: Array) -> tuple[Array, Array]:
+            return jax.jvp(meridian_of(self.profile), (s,), (jnp.ones_like(s),))
 
         along = jnp.ones_like(place.s)
         (point, first), (_, second) = jax.jvp(slope, (place.s,), (along,))
@@ -185,7 +193,7 @@ class Revolution(AbstractPointSurface):
     def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
         """The surface point at ``u`` [m]."""
         place = self._place(u)
-        r, z = components(_meridian(self.profile)(place.s))
+        r, z = components(meridian_of(self.profile)(place.s))
         return jnp.stack([r * place.cosine, r * place.sine, z])
 
     def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
@@ -251,16 +259,20 @@ class Revolution(AbstractPointSurface):
         """
         target = jnp.stack([norm(point[:2]), point[2]])
         first, last = self.domain
-        meridian = _meridian(self.profile)
-        seeds = jnp.linspace(first, last, _DENSE, dtype=point.dtype)
-        places = jax.vmap(meridian)(seeds)
-        gaps = jax.vmap(lambda place: norm(place - target))(places)
-        longest = (last - first) / (_DENSE - 1)
+        meridian = meridian_of(self.profile)
 
-        def slope(s):
+        def gap(place: Array) -> Array:
+            return norm(place - target)
+
+        seeds = jnp.linspace(first, last, DENSE, dtype=point.dtype)
+        places = jax.vmap(meridian)(seeds)
+        gaps = jax.vmap(gap)(places)
+        longest = (last - first) / (DENSE - 1)
+
+        def slope(s: Array) -> tuple[Array, Array]:
             return jax.jvp(meridian, (s,), (jnp.ones_like(s),))
 
-        def advance(s, _):
+        def advance(s: Array, _: None) -> tuple[Array, None]:
             (place, along), (_, bend) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
             square, left = dot(along, along), target - place
             curved = square - dot(left, bend)  # not positive far from the surface
@@ -283,7 +295,7 @@ class Revolution(AbstractPointSurface):
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """Point at s = q1 and angle q2 about z [m]."""
-        r, z = components(_meridian(self.profile)(q[0]))
+        r, z = components(meridian_of(self.profile)(q[0]))
         return jnp.stack([r * jnp.cos(q[1]), r * jnp.sin(q[1]), z])
 
     def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
@@ -318,82 +330,3 @@ def _polar(x: Array, y: Array) -> tuple[Array, Array, Array]:
         jnp.where(at_pole, 0.0, y / length),
         jnp.where(at_pole, 0.0, length),
     )
-
-
-def _meridian(profile: UserFunction) -> Callable[[Array], Array]:
-    """The profile as a function of a scalar with values of shape (2,)."""
-
-    def meridian(s):
-        value = profile(s[None])
-        if isinstance(value, (tuple, list)):
-            value = jnp.stack([jnp.asarray(x) for x in value])
-        return value
-
-    return meridian
-
-
-def _sampled(meridian, domain) -> np.ndarray:
-    """Points of the meridian, shape (n, 2)."""
-    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], _DENSE))
-    if is_traced(places):
-        raise FieldError(
-            "Revolution.poles",
-            None,
-            "cannot be found while the profile's parameters are traced",
-            "give poles=(first, last) and rising= yourself",
-        )
-    return np.asarray(places)
-
-
-def _found_poles(places: np.ndarray) -> tuple[bool, bool]:
-    """Which ends of a meridian are poles."""
-    radius = np.abs(places[:, 0])
-    near = 1e-6 * np.max(radius)  # far below any real hole, above rounding
-    return bool(radius[0] < near), bool(radius[-1] < near)
-
-
-def _found_rising(places: np.ndarray) -> bool:
-    """Whether a meridian rises; one that is closed, whether it goes anticlockwise.
-
-    The area on its left, between it and the axis or the line between its ends, is
-    ``int r dz``: positive where the outward side is the right one.
-    """
-    radius, height = places.T
-    size = max(np.ptp(radius), np.ptp(height))
-    rise = height[-1] - height[0]
-    if abs(rise) > 1e-6 * size:
-        return bool(rise > 0)
-    between = radius - min(radius[0], radius[-1])  # an offset changes nothing
-    area = np.sum(0.5 * (between[1:] + between[:-1]) * np.diff(height))
-    if not abs(area) > 1e-6 * size * size:
-        raise FieldError(
-            "Revolution.rising",
-            None,
-            "cannot be found: the meridian ends at the height at which it begins, and "
-            "encloses nothing",
-            "give rising=True or rising=False: the outward normal of a meridian that "
-            "rises points away from the axis, and True turns it likewise",
-        )
-    return bool(area > 0)
-
-
-def _refuse_tips(meridian, domain, poles) -> None:
-    """Refuse a known meridian that does not meet the axis at a right angle."""
-    for s, is_pole in zip(domain, poles, strict=True):
-        if not is_pole:
-            continue
-        s = jnp.asarray(s)
-        _, slope = jax.jvp(meridian, (s,), (jnp.ones_like(s),))
-        if is_traced(slope):
-            continue
-        r_1, z_1 = np.asarray(slope, float)
-        # a thousandth of a radian is no rounding
-        if not abs(z_1) <= 1e-3 * abs(r_1):
-            raise FieldError(
-                "Revolution.profile",
-                (float(r_1), float(z_1)),
-                f"does not meet the axis at a right angle at s = {float(s):g}, where "
-                "radius and height change at these rates",
-                "round the tip off, let the radius grow in proportion to s there, use "
-                "Cone, or end the domain off the axis with poles=(False, False)",
-            )

@@ -1,14 +1,16 @@
 """Surfaces by a user's own JAX function: graph, parametric, implicit."""
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ...validation.checks import FieldError, flag, positive, real
+from ...validation.checks import flag, positive, real
 from ...validation.user_functions import UserFunction, check_output
 from ..local_geometry import (
     LocalGeometry,
@@ -20,11 +22,14 @@ from ..local_geometry import (
 from ..rotations import tangent_pair
 from ..small_linear import dot, inverse_sqrt, norm
 from .directions import (
+    SPHERE,
     SPHERE_SAMPLES,
     SPHERE_SPACING,
+    Range,
     direction_chart,
     direction_of,
     direction_rates,
+    domain_of,
     grid_of,
     grid_spacing,
     longitude_latitude,
@@ -32,21 +37,7 @@ from .directions import (
 )
 from .kinds import AbstractPairSurface, AbstractPointSurface
 
-Range = tuple[tuple[float, float], tuple[float, float]]
-
-
-def domain_of(field: str, domain: Any, count: int) -> tuple:
-    """Static ranges ((low, high), ...) from a user's domain, checked."""
-    try:
-        ranges = np.asarray(domain, dtype=float).reshape(count, 2)
-    except (TypeError, ValueError) as error:
-        wanted = "(low, high)" if count == 1 else "((low, high), (low, high))"
-        raise FieldError(field, domain, "must be ranges", f"give {wanted}") from error
-    if not (np.all(np.isfinite(ranges)) and np.all(ranges[:, 0] < ranges[:, 1])):
-        raise FieldError(
-            field, domain, "must be finite with low < high", "order the limits"
-        )
-    return tuple((float(low), float(high)) for low, high in ranges)
+_Pair = tuple[Array, Array]
 
 
 class Graph(AbstractPairSurface):
@@ -64,7 +55,12 @@ class Graph(AbstractPairSurface):
     f: UserFunction
     domain: Range = eqx.field(static=True)
 
-    def __init__(self, f, parameters=None, domain=((-1.0, 1.0), (-1.0, 1.0))):
+    def __init__(
+        self,
+        f: Callable[..., Any],
+        parameters: Any = None,
+        domain: ArrayLike | Sequence[Sequence[float]] = ((-1.0, 1.0), (-1.0, 1.0)),
+    ):
         """Make a graph.
 
         Args:
@@ -104,9 +100,12 @@ class Graph(AbstractPairSurface):
 
     def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from the surface, of first order [m]."""
+
         # forwards: a function that searches has no other way
-        twice = lambda at: (self.f(at),) * 2
-        slope, height = jax.jacfwd(twice, has_aux=True)(point[:2])
+        def twice(at: Array) -> _Pair:
+            return (height := self.f(at)), height
+
+        slope, height = cast(_Pair, jax.jacfwd(twice, has_aux=True)(point[:2]))
         return (point[2] - height) * inverse_sqrt(1.0 + dot(slope, slope))
 
 
@@ -128,9 +127,9 @@ class Parametric(AbstractPointSurface):
 
     def __init__(
         self,
-        position,
-        parameters=None,
-        domain=((-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)),
+        position: Callable[..., Any],
+        parameters: Any = None,
+        domain: ArrayLike | Sequence[Sequence[float]] = SPHERE,
         of_direction: bool = False,
         inside: bool = False,
     ):
@@ -163,7 +162,7 @@ class Parametric(AbstractPointSurface):
     def chart_domain(self) -> Range:
         """Ranges of the two chart parameters."""
         if self.of_direction:
-            return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+            return SPHERE
         return self.domain
 
     @property
@@ -261,12 +260,18 @@ class Implicit(AbstractPointSurface):
         size: Distance within which they find it [m].
     """
 
-    coordinate_count: ClassVar[int] = 3
+    coordinate_count = 3
     f: UserFunction
     center: Float[Array, "3"]
     size: Float[Array, ""]
 
-    def __init__(self, f, parameters=None, center=(0.0, 0.0, 0.0), size=1.0):
+    def __init__(
+        self,
+        f: Callable[..., Any],
+        parameters: Any = None,
+        center: ArrayLike | Sequence[ArrayLike] = (0.0, 0.0, 0.0),
+        size: ArrayLike = 1.0,
+    ):
         """Make an implicit surface.
 
         Args:
@@ -301,7 +306,7 @@ class Implicit(AbstractPointSurface):
 
     def neighbour(self, u: Float[Array, "3"], x: Float[Array, "2"]) -> Array:
         """The point beside, by lengths along any tangent pair [m]."""
-        slope = jax.grad(self.f)(u)
+        slope = cast(Array, jax.grad(self.f)(u))
         first, second = tangent_pair(slope / norm(slope))
         return self.onto(u + x[0] * first + x[1] * second)
 
@@ -319,19 +324,23 @@ class Implicit(AbstractPointSurface):
     def _along_ray(self, direction: Float[Array, "3"]) -> Float[Array, "3"]:
         """First surface point from the centre along a direction; NaN for none."""
         steps = jnp.linspace(0.0, 1.0, 65, dtype=self.size.dtype)[1:] * self.size
-        levels = jax.vmap(lambda r: self.f(self.center + r * direction))(steps)
+
+        def level(r: Array) -> Array:
+            return self.f(self.center + r * direction)
+
+        levels = jax.vmap(level)(steps)
         outside = levels > 0
         first = jnp.argmax(outside)
         low = jnp.where(first > 0, steps[jnp.maximum(first - 1, 0)], 0.0)
         high = steps[first]
 
-        def halve(_, bounds):
+        def halve(_: Array, bounds: _Pair) -> _Pair:
             low, high = bounds
             mid = 0.5 * (low + high)
             out = self.f(self.center + mid * direction) > 0
             return jnp.where(out, low, mid), jnp.where(out, mid, high)
 
-        low, high = jax.lax.fori_loop(0, 30, halve, (low, high))
+        low, high = cast(_Pair, jax.lax.fori_loop(0, 30, halve, (low, high)))
         r = jnp.where(jnp.any(outside), 0.5 * (low + high), jnp.nan)
         return self.onto(self.center + r * direction)
 
@@ -363,7 +372,7 @@ class Implicit(AbstractPointSurface):
     @property
     def chart_domain(self) -> Range:
         """Longitude and latitude of the ray [rad]."""
-        return (-np.pi, np.pi), (-0.5 * np.pi, 0.5 * np.pi)
+        return SPHERE
 
     def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
         """First surface point along the ray of longitude q1 and latitude q2 [m]."""

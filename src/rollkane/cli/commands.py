@@ -1,44 +1,44 @@
-"""The command line: run a scene, measure it, list, check and describe scenes.
+"""Commands: run a scene, measure it, list, check and describe scenes.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once,
 and so that JAX is set up before it starts.
 """
 
-import contextlib
-import importlib.util
 import json
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from . import __version__
+from .. import __version__
+from .output_files import check_targets, telling_of_files, write
 
 _EXTRA_OPTIONS = "xla_backend_extra_options"
 _FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=65536"
 _BAD_INPUT, _STOPPED_EARLY = 2, 3
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0
-_NEEDS = {
-    "out": (("xarray", "h5netcdf", "h5py"), "results"),
-    "plot": (("matplotlib",), "plot"),
-    "path": (("matplotlib",), "plot"),
-    "view": ((), ""),
-    "json": ((), ""),
-}
 
 
-class _Positive(click.ParamType):
+if TYPE_CHECKING:  # click 8.1 has no generic class
+    _NumberType = click.ParamType[float]
+else:
+    _NumberType = click.ParamType
+
+
+class _Positive(_NumberType):
     """A finite number greater than zero."""
 
     name = "number"
 
-    def convert(self, value, param, ctx) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """The number that an option gives, or click's usage error."""
         try:
             number = float(value)
@@ -101,7 +101,7 @@ def simulate(
     """
     asked = {"out": out, "plot": plot, "path": path, "view": view}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    _check_targets(targets, scene)
+    check_targets(targets, scene)
     _start_jax()
     file = _loaded(ctx, scene)
 
@@ -125,13 +125,13 @@ def simulate(
         quiet,
     )
     if not quiet:
-        from .pictures.summary import summary
+        from ..pictures.summary import summary
 
         click.echo(file.title)
         for line in (*summary(result), timing):
             click.echo(line)
     for name, target in targets.items():
-        if _write(name, result, target, file.title) and not quiet:
+        if write(name, result, target, file.title) and not quiet:
             click.echo(f"  wrote {target}")
     if int(result.code):
         click.echo(
@@ -188,7 +188,7 @@ def work_precision(
     json_file: str | None,
     plot: str | None,
     quiet: bool,
-    **choices: tuple,
+    **choices: tuple[Any, ...],
 ) -> None:
     """Measure what accuracy costs for SCENE, and recommend a solver.
 
@@ -198,13 +198,13 @@ def work_precision(
     """
     asked = {"json": json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    _check_targets(targets, scene)
+    check_targets(targets, scene)
     _start_jax()
     file = _loaded(ctx, scene)
 
-    from .files.atomic_file import write_whole
-    from .studies.work_precision import work_precision as measure
-    from .validation.checks import FieldError
+    from ..files.atomic_file import write_whole
+    from ..studies.work_precision import work_precision as measure
+    from ..validation.checks import FieldError
 
     chosen: dict[str, Any] = {name: value for name, value in choices.items() if value}
     try:
@@ -223,7 +223,7 @@ def work_precision(
     click.echo(f"{file.title}: {work.horizon:g} s")
     click.echo(work.table())
     click.echo(f"errors below {work.certainty:.1e} are unknown ({work.reference})")
-    with _telling_of_files():
+    with telling_of_files():
         if json_file is not None:
             write_whole(targets["json"], work.to_json().encode())
     if work.failure:
@@ -236,7 +236,7 @@ def work_precision(
         )
     except FieldError as refused:
         click.echo(f"for {error:g}: {refused}")
-    with _telling_of_files():
+    with telling_of_files():
         if plot is not None:
             work.plot(targets["plot"], file.title)
     for target in targets.values():
@@ -255,7 +255,7 @@ def _shown_by(bar: Any) -> Callable[[int, int, str], None]:
 @main.command()
 def scenes() -> None:
     """List the built-in scenes."""
-    from .files.scene_files import builtin_scenes
+    from ..files.scene_files import builtin_scenes
 
     lines = builtin_scenes()
     width = max(map(len, lines))
@@ -279,7 +279,7 @@ def check(ctx: click.Context, scene: str) -> None:
 @main.command()
 def schema() -> None:
     """Print the JSON schema of a scene file."""
-    from .files.scene_files import scene_schema
+    from ..files.scene_files import scene_schema
 
     click.echo(json.dumps(scene_schema(), indent=2))
 
@@ -295,7 +295,7 @@ def _start_jax() -> None:
 
 
 def _loaded(ctx: click.Context, scene: str) -> Any:
-    from .files.scene_files import SceneFileError, load_scene
+    from ..files.scene_files import SceneFileError, load_scene
 
     try:
         return load_scene(scene)
@@ -312,8 +312,8 @@ def _run(
     """The trajectory, and a line that tells compiling from running."""
     import jax
 
-    from .simulation.run import simulate as integrate
-    from .validation.checks import FieldError
+    from ..simulation.run import simulate as integrate
+    from ..validation.checks import FieldError
 
     def timed() -> tuple[Any, float]:
         began = time.perf_counter()
@@ -333,69 +333,3 @@ def _run(
         result,
         f"  {'time':<18}{compiling:.2f} s to trace and compile, {again:.4f} s to run",
     )
-
-
-def _check_targets(targets: dict[str, Path], scene: str) -> None:
-    """Refuse, before anything runs, what could not be written after it."""
-    taken = {Path(scene).resolve(): "SCENE"}
-    for name, target in targets.items():
-        option = f"--{name}"
-        folder = target.resolve().parent
-        if not folder.is_dir():
-            _refuse(option, f"the folder {folder} does not exist; make it first")
-        if target.is_dir():
-            _refuse(option, f"{target} is a folder; give the name of a file")
-        if not os.access(folder, os.W_OK):
-            _refuse(option, f"the folder {folder} cannot be written to")
-        if target.resolve() in taken:
-            other = taken[target.resolve()]
-            _refuse(option, f"{target} is the file of {other}; give another name")
-        taken[target.resolve()] = option
-        modules, extra = _NEEDS[name]
-        for module in modules:
-            if importlib.util.find_spec(module) is None:
-                _refuse(
-                    option,
-                    f"needs {module}, which is not installed: "
-                    f"pip install 'rollkane[{extra}]'",
-                )
-
-
-def _refuse(option: str, message: str) -> None:
-    raise click.BadParameter(message, param_hint=f"'{option}'")
-
-
-def _write(name: str, result: Any, target: Path, title: str) -> bool:
-    """Whether the file could be made: a run without any state shows nothing."""
-    from .validation.checks import FieldError
-
-    try:
-        with _telling_of_files(f" {target}"):
-            _writer(name)(result, target, title)
-    except FieldError as error:
-        click.echo(f"error: did not write {target}: {error}", err=True)
-        return False
-    return True
-
-
-@contextlib.contextmanager
-def _telling_of_files(target: str = "") -> Iterator[None]:
-    """A sentence, not a traceback, where the system refuses to write."""
-    try:
-        yield
-    except OSError as error:
-        raise click.ClickException(f"cannot write{target}: {error}") from error
-
-
-def _writer(name: str) -> Callable[[Any, Path, str], None]:
-    if name == "out":
-        from .files.export import write_netcdf
-
-        return lambda result, target, title: write_netcdf(result, target)
-    if name == "view":
-        from .pictures.viewer import write_view
-
-        return write_view
-    from .pictures.plotting import plot_contact_path, plot_overview
-
-    return plot_overview if name == "plot" else plot_contact_path

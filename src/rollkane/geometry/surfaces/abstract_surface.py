@@ -1,0 +1,158 @@
+"""What every surface can do.
+
+The two ways in which it can carry a contact point are in :mod:`.kinds`.
+"""
+
+import abc
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..local_geometry import LocalGeometry
+from .directions import NormalHeading, PointOfNormal, Range, longitude_latitude
+
+
+class AbstractSurface(eqx.Module):
+    """A surface fixed in its owner's axes, with an outward side.
+
+    Coordinates ``u`` are those of the contact state: without poles, of shape
+    (coordinate_count,). Rates ``x`` of shape (2,) are taken in local coordinates at a
+    point, those to which the ``L`` and ``W`` of its :class:`LocalGeometry` belong.
+    """
+
+    coordinate_count: eqx.AbstractClassVar[int]
+    is_flat: ClassVar[bool] = False
+    is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
+
+    @abc.abstractmethod
+    def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
+        """Local geometry at coordinates ``u``; differentiates the surface once."""
+
+    @abc.abstractmethod
+    def coordinate_rates(
+        self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
+    ) -> Float[Array, " k"]:
+        """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
+
+    def units(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """What local coordinates are measured by: metres beside angles by a length."""
+        return jnp.ones(2, u.dtype)
+
+    def settled(self, u: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Coordinates projected onto their manifold after a finite step."""
+        return u
+
+    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
+        """The point at coordinates ``u`` [m], without its geometry."""
+        return self.geometry(u).position
+
+    def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
+        """Coordinates of a point beside, by a finite step in local coordinates."""
+        return self.settled(u + self.coordinate_rates(u, self.geometry(u), x))
+
+    @abc.abstractmethod
+    def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
+        """Coordinates of the surface point at, or near, a point [m]."""
+
+    @abc.abstractmethod
+    def samples(self) -> np.ndarray | Array:
+        """Coordinates over the whole surface, shape (n, k): seeds of searches."""
+
+    @abc.abstractmethod
+    def chart(self, q: Float[Array, "2"]) -> Float[Array, "3"]:
+        """Two-parameter chart, for drawing and for Voronets coordinates [m]."""
+
+    @property
+    @abc.abstractmethod
+    def chart_domain(self) -> Range:
+        """Ranges of the chart's two parameters that cover the surface once."""
+
+    @abc.abstractmethod
+    def chart_geometry(self, q: Float[Array, "2"]) -> LocalGeometry:
+        """Local geometry in the chart, with ``spin_rates``."""
+
+    @abc.abstractmethod
+    def chart_coordinates(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
+        """Chart coordinates of the point with contact coordinates ``u``."""
+
+    @abc.abstractmethod
+    def chart_inverse(self, q: Float[Array, "2"]) -> Float[Array, " k"]:
+        """Contact coordinates of the point with chart coordinates ``q``."""
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether the material is convex: two such bodies touch at one place only."""
+        return False
+
+    @property
+    def hull(self) -> Callable[[np.ndarray], bool] | None:
+        """Whether a point [m] is in the body's convex hull, by NumPy.
+
+        None: not known, as of a surface that may be a part of the body only (a foot).
+        """
+        return None
+
+    @property
+    @abc.abstractmethod
+    def spacing(self) -> tuple[Any, Any]:
+        """Distance of neighbouring samples, in the local coordinates."""
+
+    def lattice(self) -> np.ndarray:
+        """Numbers, one row for each sample, of which near ones belong to near samples.
+
+        So that neighbours are known without a value of the surface.
+        """
+        return np.asarray(self.samples())
+
+    def face_points(self) -> Float[Array, "n 3"] | None:
+        """Points of the body that its surface leaves out [m]; None: there are none."""
+
+    def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
+        """Distance of a point from the surface [m], negative in the material.
+
+        Of first order near the surface, of the right sign everywhere; infinite where
+        the surface does not reach. None: it has no inside (a wire), or none is known.
+        """
+        del point
+
+    def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
+        """Positive while a contact point is on the surface; None: it has no end.
+
+        A contact that comes to zero has come to a rim, a tip or a face.
+        """
+        del u
+
+    def chart_extent(self, q: Float[Array, "2"]) -> Float[Array, ""] | None:
+        """The same in chart coordinates."""
+        return self.extent(self.chart_inverse(q))
+
+    def normal_heading(self, against_plane: bool) -> NormalHeading | None:
+        """Part of the normal that must not vanish; of a surface parametrized by it.
+
+        Where it does, the inverse Gauss map jumps: a whole face or circle has that
+        normal. No step of a run may reverse it. None: the map is continuous.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
+
+    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
+        """Chart coordinates where the outward normal is the given one.
+
+        Only for surfaces parametrized by their normal.
+        """
+        return longitude_latitude(normal)
+
+    def normal_map(self, against_plane: bool) -> PointOfNormal | None:
+        """The map from outward normal to point, where the normal determines it.
+
+        Args:
+            against_plane: Whether the other surface is a plane.
+        """
+        del against_plane
+        return None
