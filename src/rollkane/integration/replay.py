@@ -173,7 +173,8 @@ def _rates(field: _Field, stages: _Stages, state: Any) -> Any:
         def put(k: Array, f: Array) -> Array:
             return k.at[m].set(f)
 
-        found = field(stages.times[m], jax.tree.map(moved, state, rates))
+        dots = jax.tree.map(moved, state, rates)
+        found = field(stages.times[m], dots)
         return jax.tree.map(put, rates, found)
 
     def empty(y: Array) -> Array:

@@ -19,7 +19,7 @@ from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import GivenFunction, as_time
 from .linear_solves import inverse_of, solved
-from .system import KaneState, KaneSystem, RigidBody
+from .system import KaneState, KaneSystem, Numbers, RigidBody
 
 
 class KaneEquations(NamedTuple):
@@ -98,7 +98,7 @@ class _Rates(NamedTuple):
 
 
 def kane_equations(
-    system: KaneSystem, t: ArrayLike, q: ArrayLike, u: ArrayLike
+    system: KaneSystem, t: ArrayLike, q: Numbers, u: Numbers
 ) -> KaneEquations:
     """Mass matrix, forcing and generalized active forces.
 
@@ -296,7 +296,7 @@ def speeds_of(
     return Speeds(u, free + follow @ (C @ free), follow)
 
 
-def _with_auxiliary(system: KaneSystem, u: ArrayLike) -> Float[Array, " m"]:
+def _with_auxiliary(system: KaneSystem, u: Numbers) -> Float[Array, " m"]:
     """All speeds, the auxiliary ones behind the others."""
     known = None if is_traced(u) else np.asarray(u)
     u, count = jnp.asarray(u), system.auxiliary

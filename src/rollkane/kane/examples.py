@@ -5,13 +5,12 @@ from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import about_axis
 from ..geometry.small_linear import cross
 from ..validation.checks import FieldError
-from .system import KaneState, KaneSystem, Load, Motion, RigidBody
+from .system import KaneState, KaneSystem, Load, Motion, Numbers, RigidBody
 
 # A parameter: a number, or an array without axes.
 Number: TypeAlias = float | Array
@@ -50,7 +49,7 @@ def euler_parameters_to_rotation(e: Float[Array, "4"]) -> Float[Array, "3 3"]:
 
 def free_rigid_body(
     mass: Number,
-    inertia: ArrayLike,
+    inertia: Numbers,
     force: Motion | None = None,
     torque: Motion | None = None,
 ) -> KaneSystem:
@@ -137,7 +136,7 @@ def babyboot(
     rod_length: Number = 0.075,
     plate_length: Number = 0.2,
     rod_moment: Number = 5e-6,
-    plate_moments: Sequence[float] | np.ndarray = (2.5e-4, 5e-5, 2e-4),
+    plate_moments: Sequence[float] | Array | np.ndarray = (2.5e-4, 5e-5, 2e-4),
     gravity: Number = 9.81,
 ) -> KaneSystem:
     """Kane's babyboot: a plate that turns about a swinging rod; chaotic.
@@ -185,7 +184,7 @@ DISC_SPEEDS = ("coordinate rates", "lean axes", "body axes")
 def rolling_disc(
     mass: Number,
     radius: Number,
-    moments: Sequence[float] | Array,
+    moments: Sequence[float] | Array | np.ndarray,
     speeds: str = "coordinate rates",
     gravity: Number = 9.81,
 ) -> KaneSystem:
@@ -245,8 +244,8 @@ def rolling_disc(
 
 
 def disc_state(
-    q: ArrayLike | Sequence[Number],
-    rates: ArrayLike | Sequence[Number],
+    q: Numbers,
+    rates: Numbers,
     speeds: str = "coordinate rates",
 ) -> KaneState:
     """A state of ``rolling_disc`` from its coordinates and their rates.

@@ -12,12 +12,15 @@ from typing import Any, TypeAlias, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.bodies import checked_inertia
 from ..validation.checks import FieldError, positive
 from ..validation.user_functions import GivenFunction, as_floats
 
+# What a user gives for numbers: one, an array, sequences of them.
+Numbers: TypeAlias = ArrayLike | Sequence[Any]
 # A function of the user's of (t, q, u), and of the parameters if it takes them.
 Motion: TypeAlias = Callable[..., Any]
 # Wraps one: its field for errors, the function, the shape of its value.
@@ -116,9 +119,9 @@ class KaneSystem(eqx.Module):
         parts: Iterable[Particle | RigidBody] = (),
         loads: Iterable[Load] = (),
         constraints: Motion | None = None,
-        dependent: Sequence[int] = (),
+        dependent: Iterable[int] = (),
         configuration: Motion | None = None,
-        dependent_coordinates: Sequence[int] = (),
+        dependent_coordinates: Iterable[int] = (),
         auxiliary: int = 0,
         generalized_forces: Motion | None = None,
         parameters: Any = None,
@@ -263,7 +266,7 @@ def _checked_load(field: str, load: object, motion: _Wrap) -> Load:
     )
 
 
-def _chosen(name: str, numbers: Sequence[int], count: int) -> tuple[int, ...]:
+def _chosen(name: str, numbers: Iterable[int], count: int) -> tuple[int, ...]:
     """Different numbers of speeds or coordinates."""
     chosen = tuple(int(k) for k in numbers)
     if len(set(chosen)) != len(chosen) or not all(0 <= k < count for k in chosen):
