@@ -19,7 +19,8 @@ from rollkane.codegen import (
 )
 from rollkane.codegen.tableau import weights_of
 from rollkane.integration import replay
-from rollkane.integration.replay import Run, Steps
+from rollkane.integration.recorded_steps import Steps
+from rollkane.integration.replay import Run
 
 from .test_native import OPERATIONS
 from .test_native import rates as every_operation

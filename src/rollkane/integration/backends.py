@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import diffrax as dfx
 import jax
@@ -58,7 +58,7 @@ def check_method(method: Any) -> None:
 
 
 def without_native(
-    solver: dfx.AbstractSolver | None, given: dict[str, bool]
+    solver: dfx.AbstractSolver[Any] | None, given: dict[str, bool]
 ) -> str | None:
     """Why the loop in C cannot make a run, as far as its options tell; None: it may.
 
@@ -78,7 +78,11 @@ def without_native(
 
 
 def run_by(
-    method: str, refusal: str | None, kind: Hashable, model: Any, run: Callable
+    method: str,
+    refusal: str | None,
+    kind: Hashable,
+    model: Any,
+    run: Callable[..., Any],
 ) -> Taken:
     """A run by the method that was asked for.
 
@@ -123,5 +127,5 @@ def _machine() -> Hashable:
 
 def _form_of(model: Any) -> Hashable:
     """What a compiled program depends on of a model."""
-    leaves, tree = jax.tree.flatten(model)
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(model))
     return tree, tuple((jax.numpy.shape(x), jax.numpy.result_type(x)) for x in leaves)

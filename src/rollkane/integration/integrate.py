@@ -7,27 +7,35 @@ the library only says which function gives the rates.
 import functools
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float
+from numpy.typing import DTypeLike
 
 from ..codegen import zeros_of
 from ..codegen.compile_effort import around_a_loop
-from ..codegen.tableau import weights_of
 from ..kinematics.coordinates import pack, unpack
 from ..validation.checks import FieldError, cleared, is_traced, real, whole
-from ..validation.codes import NO_FAULT, Code, first_fault
-from . import replay
+from ..validation.codes import NO_FAULT, first_fault
+from .along_steps import by_steps_of
 from .differentiate import differentiable
+from .output_times import in_time, moved_in_time, not_by_times
 from .projection import Projected
-from .replay import Run, Steps
-from .solve import Plan, Problem, Solution, landings_of, plain, solve
+from .solve import (
+    Allowed,
+    Inputs,
+    Plan,
+    Problem,
+    Record,
+    Solution,
+    plain,
+    solve,
+)
 from .step_control import Stops, of_times, stops_of
 
 # Relative tolerance above which a step may be as wrong as it is long.
@@ -70,15 +78,15 @@ def integrate(
     *,
     rtol: Any,
     atol: Any,
-    solver: dfx.AbstractSolver | None,
-    stepsize_controller: dfx.AbstractStepSizeController | None,
+    solver: dfx.AbstractSolver[Any] | None,
+    stepsize_controller: dfx.AbstractStepSizeController[Any, Any] | None,
     adjoint: dfx.AbstractAdjoint | None,
     saveat: dfx.SaveAt | None,
     dt0: Any,
     max_steps: int | None,
-    progress_meter: dfx.AbstractProgressMeter | None,
+    progress_meter: dfx.AbstractProgressMeter[Any] | None,
     native: bool = False,
-    allowed: Callable | None = None,
+    allowed: Allowed | None = None,
 ) -> Outcome:
     """Integrate a start to the asked times; see ``rollkane.simulate``.
 
@@ -127,24 +135,39 @@ def integrate(
     call = _around_loop if native else _integrate
     if stepsize_controller is None and saveat is None:
         return call(plan, None, model, start, times, stops, numbers, dt0)
-    arrays, plan = eqx.partition(plan, eqx.is_array)
+    arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
     return call(plan, arrays, model, start, times, stops, numbers, dt0)
 
 
-def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
+def _integrated(
+    plan: Plan,
+    plan_arrays: Plan | None,
+    model: Any,
+    start: Any,
+    times: Float[Array, " T"],
+    stops: Stops,
+    tolerances: list[Array],
+    dt0: Float[Array, ""] | None,
+) -> Outcome:
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
-    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), start)
+
+    def size(x: Array) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(x.shape, x.dtype)
+
+    like = jax.tree.map(size, start)
     if isinstance(plan.solver, Projected):
         plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
 
     @jax.jit  # traced once, however often the integrator evaluates it
-    def rates(t, y, model):
+    def rates(t: Array, y: Array, model: Any) -> Array:
         return pack(plan.problem.derivative(model, t, unpack(y, like)))
 
-    def one(inputs, replay, adjoint):
-        *inputs, spoilt = inputs
-        found, record = solve(plan, rates, like, tuple(inputs), replay, adjoint)
-        numbers = lambda s: (s.y, s.final_y)
+    def one(
+        inputs: Inputs, replay: Record | None, adjoint: dfx.AbstractAdjoint | None
+    ) -> tuple[Solution, Record | None]:
+        *others, spoilt = inputs
+        found, record = solve(plan, rates, like, tuple(others), replay, adjoint)
+        numbers: Callable[[Solution], Any] = lambda s: (s.y, s.final_y)
         return eqx.tree_at(numbers, found, replace_fn=lambda x: x + spoilt), record
 
     fault, code_of_fault = first_fault(model, start, in_order(times))
@@ -154,24 +177,24 @@ def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
     y0 = pack(start)
     # NaN would keep the step controller going for ever; zero stops it at the start
     y0 = cleared(y0, good & jnp.all(jnp.isfinite(y0)))
-    y0 = _moved_in_time(rates, y0, times[0], model, -1.0)
+    y0 = cast(Array, moved_in_time(rates, y0, times[0], model, -1.0))
     rtol, atol, by_size = tolerances
     sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
     inputs = (model, y0, fixed_stops, rtol, atol, dt0, spoilt)
     if plan.adjoint is None:
-        by_steps = _by_steps(plan, rates) if plain(plan, times) else (None, None)
+        by_steps = by_steps_of(plan, rates) if plain(plan, times) else (None, None)
         solution = differentiable(
             one, inputs, _CHECKPOINTS, *by_steps, unknown=lambda s: s.unknown
         )
     else:
         solution = one(inputs, None, plan.adjoint)[0]
     if plan.saveat is None:
-        solution = _in_time(solution, rates, times, stops, model)
+        solution = in_time(solution, rates, times, stops, model)
     else:
-        refused = _not_by_times(jnp.zeros_like(times[0]), times)
-        numbers = lambda s: (s.y, s.final_y, s.final_time)
+        refused = not_by_times(jnp.zeros_like(times[0]), times)
+        numbers: Callable[[Solution], Any] = lambda s: (s.y, s.final_y, s.final_time)
         solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
     return Outcome(
         time=times if plan.saveat is None else solution.time,
@@ -187,101 +210,8 @@ def _integrated(plan, plan_arrays, model, start, times, stops, tolerances, dt0):
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
 _jit = functools.partial(jax.jit, _integrated, static_argnums=0)
-_integrate, _around_loop = _jit(), around_a_loop(_jit)
-
-
-def _in_time(solution: Solution, rates, times, stops: Stops, model) -> Solution:
-    """The outputs at their stops, and how everything moves with the times."""
-    y, final_y, code = solution.y, solution.final_y, solution.code
-    if stops.last is not None:
-        # a span below the clock's steps is no motion
-        instant = stops.last[-1] == 0
-        y = jnp.where(instant, y[:1], y[stops.last])
-        final_y = jnp.where(instant, y[0], final_y)
-        code = jnp.where(instant, Code.COMPLETED, code)
-    move = jax.vmap(lambda y, t: _moved_in_time(rates, y, t, model, 1.0))
-    ended = code == Code.COMPLETED
-    # where a run stops of itself does not follow the last time
-    return Solution(
-        time=solution.time,
-        y=move(y, times),
-        final_time=jnp.where(ended, times[-1], solution.final_time),
-        final_y=_moved_in_time(rates, final_y, times[-1], model, 1.0),
-        code=code,
-        steps=solution.steps,
-        rejected_steps=solution.rejected_steps,
-    )
-
-
-def _by_steps(plan: Plan, rates) -> tuple[Callable, Callable]:
-    """Derivatives of a plain run along its steps; see :func:`differentiable`."""
-    weights = weights_of(plan.solver, "a run")
-
-    def run_of(inputs_of, varied, record):
-        along = lambda t, y, *varied: rates(t, y, inputs_of(varied)[0])
-        start = lambda *varied: inputs_of(varied)[1]
-        model, _, times, *_ = inputs_of(varied)
-        begun, count, kept = record
-        jumps = landings_of(model, times, plan).jumps
-        steps = Steps.of(begun, count, kept, times, jumps)
-        return Run(along, start, varied, weights), steps
-
-    def push(inputs_of, varied, record, tangents, once):
-        run, steps = run_of(inputs_of, varied, record)
-        behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
-        y, final_y = (
-            jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
-        )
-        time = jnp.zeros(y.shape[:2], y.dtype)
-        return [time, y, time[:, 0], final_y]  # as in Solution
-
-    def pull(inputs_of, varied, record, cotangents, once):
-        run, steps = run_of(inputs_of, varied, record)
-        return replay.pull(run, steps, cotangents.y, cotangents.final_y, once)
-
-    return push, pull
-
-
-@eqx.filter_custom_jvp
-def _moved_in_time(rates, y, t, model, sign):
-    """``y``, with the derivative that a change of its time ``t`` brings.
-
-    Output times are not part of the replayed solve; a later output has moved on by
-    the rates (sign +1), a later start stands for an earlier state (sign -1).
-    """
-    del rates, t, model, sign
-    return y
-
-
-@_moved_in_time.def_jvp
-def _moved_in_time_jvp(primals, tangents):
-    rates, y, t, model, sign = primals
-    _, y_dot, t_dot, _, _ = tangents
-    y_dot = jnp.zeros_like(y) if y_dot is None else y_dot
-    if t_dot is not None:
-        y_dot = y_dot + sign * rates(t, y, model) * t_dot
-    return y, y_dot
-
-
-@jax.custom_jvp
-def _not_by_times(x: Array, times: Array) -> Array:
-    """A number, of which derivatives by the times are refused."""
-    del times
-    return x
-
-
-@functools.partial(_not_by_times.defjvp, symbolic_zeros=True)
-def _not_by_times_jvp(primals, tangents):
-    x_dot, by_times = tangents
-    if not isinstance(by_times, SymbolicZero):
-        raise FieldError(
-            "simulate.saveat",
-            "...",
-            "cannot be differentiated by the times",
-            "leave saveat out: outputs at times are",
-        )
-    x = primals[0]
-    return x, jnp.zeros_like(x) if isinstance(x_dot, SymbolicZero) else x_dot
+_integrate: Callable[..., Outcome] = _jit()
+_around_loop: Callable[..., Outcome] = around_a_loop(_jit)
 
 
 _warned: set[str] = set()
@@ -294,7 +224,7 @@ def _warn_once(kind: type[Warning], what: str, text: str, below: int = 4) -> Non
         warnings.warn(text, kind, stacklevel=below)
 
 
-def warn_single_precision(dtype) -> None:
+def warn_single_precision(dtype: np.dtype[Any]) -> None:
     """Say once what single precision costs, where the program has not chosen it."""
     if dtype == jnp.float32 and jnp.result_type(float) == dtype:
         _warn_once(
@@ -333,11 +263,11 @@ def check_steps(max_steps: Any, dt0: Any) -> None:
             raise FieldError("simulate.dt0", dt0, problem, remedy)
 
 
-def _scalar(x, dtype):
+def _scalar(x: Any, dtype: np.dtype[Any]) -> Any:
     return x.astype(dtype) if is_traced(x) else np.asarray(x, dtype)
 
 
-def checked_times(times: Any, dtype) -> Float[Array, " T"]:
+def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:
     """Output times [s] of the state's dtype.
 
     Raises:
@@ -363,7 +293,7 @@ def checked_times(times: Any, dtype) -> Float[Array, " T"]:
             "must be finite and strictly increasing or strictly decreasing",
             "sort them and leave out repeated ones",
         )
-    return times
+    return cast(Array, times)  # NumPy's, being known
 
 
 def _one_way(times: np.ndarray) -> bool:
@@ -379,13 +309,13 @@ def in_order(times: Float[Array, " T"]) -> Array:
     return one_way & jnp.all(jnp.isfinite(times))
 
 
-def tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+def tolerances(rtol: Any, atol: Any, dtype: DTypeLike) -> tuple[Any, Any]:
     """Tolerances, with the defaults of a precision for those that are None."""
     plain = type(rtol) in _PLAIN and type(atol) in _PLAIN
     return (_plain_tolerances if plain else _tolerances)(rtol, atol, np.dtype(dtype))
 
 
-def _tolerances(rtol, atol, dtype) -> tuple[Any, Any]:
+def _tolerances(rtol: Any, atol: Any, dtype: np.dtype[Any]) -> tuple[Any, Any]:
     for field, value in (("rtol", rtol), ("atol", atol)):
         if isinstance(value, (str, bytes, bool)):
             raise FieldError(
@@ -425,6 +355,6 @@ _plain_tolerances = functools.lru_cache(64)(_tolerances)
 _FINE, _COARSE = dfx.Dopri8(), dfx.Tsit5()
 
 
-def default_solver(rtol) -> dfx.AbstractSolver:
+def default_solver(rtol: Any) -> dfx.AbstractSolver[Any]:
     """Dopri8 where many digits are asked for, Tsit5 where few are."""
     return _FINE if is_traced(rtol) or rtol < 1e-6 else _COARSE

@@ -1,9 +1,13 @@
 """Steps projected onto the invariants of a motion."""
 
+# equinox lets a property stand for an abstract field
+# pyright: reportIncompatibleVariableOverride=false
+# pyright: reportIncompatibleMethodOverride=false
+
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias, cast
 
 import diffrax as dfx
 import equinox as eqx
@@ -14,28 +18,34 @@ from ..dynamics.observables import energy, kinetic_energy
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
+from .step_control import Number
+
+# What a step of a diffrax solver gives: its end, the error, what interpolates, memory.
+_Step: TypeAlias = tuple[Array, Array | None, dict[str, Any], Any, dfx.RESULTS]
 
 
 class _Corrected(dfx.AbstractLocalInterpolation):
     """A solver's interpolation, which ends where the step was projected to."""
 
-    kind: Callable = eqx.field(static=True)
+    kind: Callable[..., dfx.AbstractLocalInterpolation] = eqx.field(static=True)
     dense: Any
     change: Float[Array, " y"]
     t0: Any
     t1: Any
 
-    def evaluate(self, t0, t1=None, left=True):
+    def evaluate(
+        self, t0: Number, t1: Number | None = None, left: bool = True
+    ) -> Float[Array, " y"]:
         """At a time; the difference of two times where both are given."""
         if t1 is not None:
             return self.evaluate(t1) - self.evaluate(t0)
-        inner = self.kind(t0=self.t0, t1=self.t1, **self.dense)
+        inner: Any = self.kind(t0=self.t0, t1=self.t1, **self.dense)
         span = self.t1 - self.t0
         share = jnp.where(span == 0.0, 1.0, (t0 - self.t0) / span)
         return inner.evaluate(t0, left=left) + share * self.change
 
 
-class Projected(dfx.AbstractWrappedSolver):
+class Projected(dfx.AbstractWrappedSolver[Any]):
     """A solver whose every step is projected onto a manifold.
 
     Attributes:
@@ -43,54 +53,65 @@ class Projected(dfx.AbstractWrappedSolver):
         like: Sizes of the state; set by ``simulate``.
     """
 
-    solver: dfx.AbstractSolver
+    solver: dfx.AbstractSolver[Any]
     like: Any = eqx.field(static=True, default=None)
 
     @property
-    def term_structure(self):
+    def term_structure(self) -> Any:
         """That of the solver."""
-        return self.solver.term_structure
+        return cast(Any, self.solver).term_structure
 
     @property
-    def interpolation_cls(self):
+    def interpolation_cls(self) -> Callable[..., _Corrected]:
         """That of the solver, and what was projected."""
         return functools.partial(_Corrected, self.solver.interpolation_cls)
 
     @property
-    def term_compatible_contr_kwargs(self):
+    def term_compatible_contr_kwargs(self) -> Any:
         """That of the solver."""
-        return self.solver.term_compatible_contr_kwargs
+        return cast(Any, self.solver).term_compatible_contr_kwargs
 
     @property
-    def scan_kind(self):
+    def scan_kind(self) -> Any:
         """That of the solver."""
         return getattr(self.solver, "scan_kind", None)
 
-    def order(self, terms):
+    def order(self, terms: Any) -> int | None:
         """That of the solver."""
         return self.solver.order(terms)
 
-    def strong_order(self, terms):
+    def strong_order(self, terms: Any) -> Number | None:
         """That of the solver."""
         return self.solver.strong_order(terms)
 
-    def error_order(self, terms):
+    def error_order(self, terms: Any) -> Number | None:
         """That of the solver."""
         return self.solver.error_order(terms)
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: Any, t0: Number, t1: Number, y0: Any, args: Any) -> Any:
         """That of the solver."""
         return self.solver.init(terms, t0, t1, y0, args)
 
-    def func(self, terms, t0, y0, args):
+    def func(self, terms: Any, t0: Number, y0: Any, args: Any) -> Any:
         """That of the solver."""
-        return self.solver.func(terms, t0, y0, args)
+        return cast(Any, self.solver).func(terms, t0, y0, args)
 
-    def advanced(self, terms, t0, t1, y0, args, memory, keep: Callable):
+    def advanced(
+        self,
+        terms: Any,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        args: Any,
+        memory: Any,
+        keep: Callable[[Any], Any],
+    ) -> _Step:
         """A step of the solver, its end projected by a function of the state."""
         # rates that the solver remembers from its own end would be slightly others
         made_jump = True
-        stepped = self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
+        stepped: _Step = cast(
+            Any, self.solver.step(terms, t0, t1, y0, args, memory, made_jump)
+        )
         y1, error, dense, memory, result = stepped
         kept = pack(keep(unpack(y1, self.like)))
         return kept, error, {"dense": dense, "change": kept - y1}, memory, result
@@ -116,11 +137,25 @@ class Keeping(Projected):
 
     keep: Callable[[Any], Any] = eqx.field(static=True, kw_only=True)
 
-    def __init__(self, solver: dfx.AbstractSolver, keep: Callable, like: Any = None):
+    def __init__(
+        self,
+        solver: dfx.AbstractSolver[Any],
+        keep: Callable[[Any], Any],
+        like: Any = None,
+    ):
         """Make one of a solver and a function of the state (see the class)."""
         self.solver, self.keep, self.like = solver, keep, like
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: Any,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        args: Any,
+        solver_state: Any,
+        made_jump: Any,
+    ) -> _Step:
         """A step of the solver, projected."""
         del made_jump
         return self.advanced(terms, t0, t1, y0, args, solver_state, self.keep)
@@ -136,21 +171,33 @@ class KeepingEnergy(Projected):
         like: Sizes of the state; set by ``simulate``.
     """
 
-    def init(self, terms, t0, t1, y0, args):
+    def init(self, terms: Any, t0: Number, t1: Number, y0: Any, args: Any) -> Any:
         """That of the solver, and the energy [J] at the beginning."""
         memory = self.solver.init(terms, t0, t1, y0, args)
-        return memory, energy(args, t0, unpack(y0, self.like))
+        return memory, energy(args, cast(Array, t0), unpack(y0, self.like))
 
-    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+    def step(
+        self,
+        terms: Any,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        args: Any,
+        solver_state: Any,
+        made_jump: Any,
+    ) -> _Step:
         """A step of the solver, projected by scaling the angular velocity."""
         del made_jump
         memory, wanted = solver_state
-        keep = functools.partial(_with_energy, args, t1, wanted)
-        *ended, memory, result = self.advanced(terms, t0, t1, y0, args, memory, keep)
-        return *ended, (memory, wanted), result
+        keep = functools.partial(_with_energy, args, cast(Array, t1), wanted)
+        stepped = self.advanced(terms, t0, t1, y0, args, memory, keep)
+        y1, error, dense, memory, result = stepped
+        return y1, error, dense, (memory, wanted), result
 
 
-def _with_energy(scene: Scene, t, wanted, state: State) -> State:
+def _with_energy(
+    scene: Scene, t: Float[Array, ""], wanted: Float[Array, ""], state: State
+) -> State:
     """The state, its angular velocity scaled to an energy [J]."""
     moving = kinetic_energy(scene, t, state)
     resting = energy(scene, t, state) - moving
@@ -160,7 +207,9 @@ def _with_energy(scene: Scene, t, wanted, state: State) -> State:
 
 
 def keeping_energy(
-    scene: Scene, start: State | None = None, solver: dfx.AbstractSolver | None = None
+    scene: Scene,
+    start: State | None = None,
+    solver: dfx.AbstractSolver[Any] | None = None,
 ) -> KeepingEnergy:
     """A solver whose every step ends on the energy [J] with which its run began.
 

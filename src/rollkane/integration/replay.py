@@ -5,114 +5,42 @@ for the tangents, and its transpose the same step backwards. Written out, both c
 fraction of what differentiating the integrator's loop costs.
 """
 
+# stages are counted, though a tuple has a method of that name
+# pyright: reportIncompatibleMethodOverride=false
+
+import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop, Way
+from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import Weights
+from .recorded_steps import Steps, most
+
+_Carry = TypeVar("_Carry")
+# Numbers of a state, and their changes along tangents with an axis behind.
+_Pair: TypeAlias = tuple[Array, Array]
+# Cotangents of a function's arguments, from those of its value.
+_Pull: TypeAlias = Callable[[Array], list[Array]]
+# ``field(t, state)`` -> rates of a tree of numbers, as such a tree.
+_Field: TypeAlias = Callable[[Array, Any], Any]
+# The next output on the way back, cotangents of the state and of what is varied.
+_Back: TypeAlias = tuple[Array, Array, list[Array]]
 
 # Steps of one part of the way back: from a recorded state they are taken again, and
 # their stages are kept: 1 kB a step of Dopri8, so that they fit the first cache.
 STEPS_BETWEEN = 16
 
 
-class Steps(NamedTuple):
-    """Recorded steps; time runs forwards in them.
-
-    Attributes:
-        record: Where steps began, and the last one ended [s], shape (n,); any numbers
-            behind.
-        count: How many there are.
-        sense: 1, or -1 where the run went backwards in time.
-        outputs: Times of outputs [s], in order, shape (T,); of those at one time only
-            the last is shown.
-        jumps: Times of jumps [s] before which steps end, behind which they begin; None
-            for none.
-        kept: States where every 16th step began, the first included, shape (m, n).
-    """
-
-    record: Float[Array, " n"]
-    count: Array
-    sense: Array
-    outputs: Float[Array, " T"]
-    jumps: Float[Array, " k"] | None
-    kept: Float[Array, "m n"]
-
-    @staticmethod
-    def of(record: Float[Array, " n"], count: Array, kept, times, jumps) -> "Steps":
-        """Of what was recorded, the times of outputs and of jumps [s]."""
-        sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
-        jumps = None if jumps is None else sense * jumps
-        return Steps(record, count, sense, sense * times, jumps, kept)
-
-    def span(self, i: Array) -> tuple[Array, Array, Array]:
-        """Where a step begins, where it ends and where the next one begins [s]."""
-        begin, following = self.sense * self.record[i], self.sense * self.record[i + 1]
-        if self.jumps is None:
-            return begin, following, following
-        at = jnp.nextafter(following, -jnp.inf)
-        end = jnp.nextafter(at, -jnp.inf)
-        return begin, jnp.where(jnp.any(at == self.jumps), end, following), following
-
-    def shows(self, i: Array, output: Array) -> Bool[Array, ""]:
-        """Whether an output lies at the end of a step."""
-        last = self.outputs.shape[0] - 1
-        time = self.outputs[jnp.clip(output, 0, last)]
-        _, end, following = self.span(i)
-        lies = (end <= time) & (time <= following)
-        return lies & (output >= 0) & (output <= last) & (i < self.count)
-
-    def last_of(self, output: Array) -> Array:
-        """Of outputs at one time, the last: only it is shown."""
-        return self._among(output, "right") - 1
-
-    def before(self, output: Array) -> Array:
-        """The last output at an earlier time."""
-        return self._among(output, "left") - 1
-
-    def _among(self, output: Array, side: str) -> Array:
-        time = self.outputs[jnp.clip(output, 0, self.outputs.shape[0] - 1)]
-        return jnp.searchsorted(self.outputs, time, side=side).astype(int)
-
-    @property
-    def way(self) -> Way:
-        """The same for the compiled loop."""
-        none = self.outputs[:0]
-        jumps = none if self.jumps is None else self.jumps
-        count = self.count.astype(self.record.dtype)
-        return Way(self.record, count, self.sense, self.outputs, jumps)
-
-    @property
-    def turns(self) -> Array:
-        """How many steps a loop takes: the same for all lanes of a batch.
-
-        One that is done stands still until the others are. So the loop's counter is
-        one number, and writing a row of an array does not become a scatter.
-        """
-        return _most(self.count)
-
-
-@jax.custom_batching.custom_vmap
-def _most(x: Array) -> Array:
-    """A whole number, in a batch the largest."""
-    return x
-
-
-@_most.def_vmap
-def _most_of_batch(size, batched, x):
-    del size
-    return _most(jnp.max(x) if batched[0] else x), False
-
-
-def _if_any(flag: Array, change: Callable, x: Array) -> Array:
+def _if_any(flag: Array, change: Callable[[Array], Array], x: Array) -> Array:
     """An array, changed where a flag of the batch is set; ``change`` minds its own."""
-    return jax.lax.cond(_most(flag.astype(int)) > 0, change, lambda x: x, x)
+    some = most(flag.astype(int)) > 0
+    return cast(Array, jax.lax.cond(some, change, lambda x: x, x))
 
 
 class Run(NamedTuple):
@@ -125,8 +53,8 @@ class Run(NamedTuple):
         weights: Of the method.
     """
 
-    rates: Callable
-    start: Callable
+    rates: Callable[..., Array]
+    start: Callable[..., Array]
     varied: list[Array]
     weights: Weights
 
@@ -174,18 +102,21 @@ def push(
     if once and (loop := _in_c(TangentLoop, run, *state)):
         return loop(steps.way, *state, tangents)
 
-    def field(t, state):
+    def field(t: Array, state: _Pair) -> _Pair:
         primals, dots = [state[0], *run.varied], [state[1], *tangents]
-        return _pushed(lambda y, *varied: run.rates(t, y, *varied), primals, dots)
+        return _pushed(functools.partial(run.rates, t), primals, dots)
 
-    def one(i, carry):
+    def one(i: Array, carry: tuple[Array, _Pair, Array]) -> tuple[Array, _Pair, Array]:
         output, state, shown = carry
         state = _where(
             i < steps.count, _stepped(field, run.stages(steps, i), state), state
         )
         shows = steps.shows(i, output)
         at = steps.last_of(output)
-        put = lambda shown: shown.at[at].set(jnp.where(shows, state[1], shown[at]))
+
+        def put(shown: Array) -> Array:
+            return shown.at[at].set(jnp.where(shows, state[1], shown[at]))
+
         return jnp.where(shows, at + 1, output), state, _if_any(shows, put, shown)
 
     size = steps.outputs.shape[0], *state[1].shape
@@ -195,7 +126,7 @@ def push(
     return shown, state[1]
 
 
-def _in_c(kind: Callable, run: Run, *like: Any) -> Any:
+def _in_c(kind: Callable[..., Any], run: Run, *like: Any) -> Any:
     """A compiled loop; None where there can be none, and XLA's programs serve."""
     if jax.default_backend() != "cpu":
         return None
@@ -205,34 +136,52 @@ def _in_c(kind: Callable, run: Run, *like: Any) -> Any:
         return None
 
 
-def _pushed(function: Callable, primals: list[Array], tangents: list[Array]) -> Any:
+def _pushed(
+    function: Callable[..., Array], primals: list[Array], tangents: list[Array]
+) -> _Pair:
     """A function's value, and its changes along tangents with an axis behind."""
-    one = lambda dots: jax.jvp(function, primals, dots)
+
+    def one(dots: list[Array]) -> _Pair:
+        return jax.jvp(function, primals, dots)
+
     return jax.vmap(one, in_axes=-1, out_axes=(None, -1))(tangents)
 
 
 def _where(flag: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(flag, a, b), new, old)
+    return jax.tree.map(functools.partial(jnp.where, flag), new, old)
 
 
-def _stepped(field: Callable, stages: _Stages, state: Any) -> Any:
+def _stepped(field: _Field, stages: _Stages, state: Any) -> Any:
     """Behind a step."""
-    rates = _rates(field, stages, state)
-    return jax.tree.map(lambda y, k: y + _mixed(stages.weights[-1], k), state, rates)
+
+    def moved(y: Array, k: Array) -> Array:
+        return y + _mixed(stages.weights[-1], k)
+
+    return jax.tree.map(moved, state, _rates(field, stages, state))
 
 
-def _rates(field: Callable, stages: _Stages, state: Any) -> Any:
+def _rates(field: _Field, stages: _Stages, state: Any) -> Any:
     """Rates at all stages of a step."""
     count = stages.times.shape[0]
 
-    def stage(m, rates):
+    def stage(m: Array, rates: Any) -> Any:
         row = stages.weights[m]
-        dots = jax.tree.map(lambda y, k: y + _mixed(row, k), state, rates)
-        found = field(stages.times[m], dots)
-        return jax.tree.map(lambda k, f: k.at[m].set(f), rates, found)
 
-    empty = lambda y: jnp.zeros((count, *y.shape), y.dtype)
-    return jax.lax.fori_loop(0, count, stage, jax.tree.map(empty, state))
+        def moved(y: Array, k: Array) -> Array:
+            return y + _mixed(row, k)
+
+        def put(k: Array, f: Array) -> Array:
+            return k.at[m].set(f)
+
+        dots = jax.tree.map(moved, state, rates)
+        found = field(stages.times[m], dots)
+        return jax.tree.map(put, rates, found)
+
+    def empty(y: Array) -> Array:
+        return jnp.zeros((count, *y.shape), y.dtype)
+
+    none = jax.tree.map(empty, state)
+    return cast(Any, jax.lax.fori_loop(0, count, stage, none))
 
 
 def _mixed(weights: Float[Array, " s"], rates: Array) -> Array:
@@ -263,15 +212,16 @@ def pull(
         # recorded states do not move with what is varied, as a second derivative asks
         steps = steps if once else steps._replace(kept=_taken_again(run, steps))
         back, of_varied = _pulled(run, steps, cotangents, last_cotangent)
-    own = jax.vjp(run.start, *run.varied)[1](back + cotangents[0])
+    through = cast(_Pull, jax.vjp(run.start, *run.varied)[1])
+    own = through(back + cotangents[0])
     return [a + b for a, b in zip(of_varied, own, strict=True)]
 
 
 def _taken_again(run: Run, steps: Steps) -> Array:
     """States where every 16th step begins, from the start on."""
-    field = lambda t, y: run.rates(t, y, *run.varied)
+    field: _Field = lambda t, y: run.rates(t, y, *run.varied)
 
-    def one(i, carry):
+    def one(i: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         y, kept = carry
         at = i // STEPS_BETWEEN
         kept = kept.at[at].set(jnp.where(i % STEPS_BETWEEN == 0, y, kept[at]))
@@ -284,18 +234,18 @@ def _taken_again(run: Run, steps: Steps) -> Array:
 
 def _pulled(
     run: Run, steps: Steps, cotangents: Array, last_cotangent: Array
-) -> tuple[Any, Any]:
+) -> tuple[Array, list[Array]]:
     """Cotangents of the first state and of what is varied, by XLA."""
-    field = lambda t, y: run.rates(t, y, *run.varied)
+    field: _Field = lambda t, y: run.rates(t, y, *run.varied)
     turns = steps.turns
     segments = (turns + STEPS_BETWEEN - 1) // STEPS_BETWEEN
 
-    def segment(n, carry):
+    def segment(n: Array, carry: _Back) -> _Back:
         s = segments - 1 - n
         first = s * STEPS_BETWEEN
         here = jnp.minimum(STEPS_BETWEEN, turns - first)
 
-        def again(j, carry):
+        def again(j: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             y, states, rates = carry
             stages = run.stages(steps, first + j)
             found = _rates(field, stages, y)
@@ -307,7 +257,7 @@ def _pulled(
         rates = jnp.zeros((STEPS_BETWEEN, run.count, *size), last_cotangent.dtype)
         _, states, rates = _counted(here, again, (steps.kept[s], states, rates))
 
-        def one(j, carry):
+        def one(j: Array, carry: _Back) -> _Back:
             output, back, of_varied = carry
             j = here - 1 - j
             shows = steps.shows(first + j, output)
@@ -329,17 +279,23 @@ def _pulled(
     passed = jnp.arange(cotangents.shape[0])
     passed = (passed > 0) & (passed <= left)
     lost = jnp.any(passed[:, None] & (cotangents != 0.0))
-    return jax.tree.map(lambda x: jnp.where(lost, jnp.nan, x), (back, of_varied))
+
+    def known(x: Array) -> Array:
+        return jnp.where(lost, jnp.nan, x)
+
+    return jax.tree.map(known, (back, of_varied))
 
 
-def _counted(count: Array, body: Callable, carry: Any) -> Any:
+def _counted(count: Array, body: Callable[..., _Carry], carry: _Carry) -> _Carry:
     """A loop over the first so many whole numbers."""
-    more = lambda c: c[0] < count
-    step = lambda c: (c[0] + 1, body(*c))
+    more: Callable[[Any], Array] = lambda c: c[0] < count
+    step: Callable[[Any], tuple[Any, _Carry]] = lambda c: (c[0] + 1, body(*c))
     return jax.lax.while_loop(more, step, (jnp.asarray(0), carry))[1]
 
 
-def _pulled_step(run: Run, stages: _Stages, y: Array, rates: Array, back: Array):
+def _pulled_step(
+    run: Run, stages: _Stages, y: Array, rates: Array, back: Array
+) -> tuple[Array, list[Array]]:
     """Cotangents of a step's beginning and of what is varied.
 
     With rates ``k_m = f(y + sum_j a_mj k_j)`` and the end ``y + sum_m b_m k_m``, the
@@ -348,7 +304,7 @@ def _pulled_step(run: Run, stages: _Stages, y: Array, rates: Array, back: Array)
     """
     count = run.count
 
-    def stage(n, carry):
+    def stage(n: Array, carry: tuple[Array, list[Array]]) -> tuple[Array, list[Array]]:
         found, of_varied = carry
         m = count - 1 - n
         t = stages.times[m]
@@ -356,11 +312,13 @@ def _pulled_step(run: Run, stages: _Stages, y: Array, rates: Array, back: Array)
             stages.weights[:-1, m], found
         )
         place = y + _mixed(stages.weights[m], rates)
-        function = lambda y, *varied: run.rates(t, y, *varied)
-        g, *own = jax.vjp(function, place, *run.varied)[1](cotangents)
+        function = functools.partial(run.rates, t)
+        through = cast(_Pull, jax.vjp(function, place, *run.varied)[1])
+        g, *own = through(cotangents)
         return found.at[m].set(g), [a + b for a, b in zip(of_varied, own, strict=True)]
 
     none = [jnp.zeros_like(x) for x in run.varied]
     carry = jnp.zeros_like(rates), none
-    found, of_varied = jax.lax.fori_loop(0, count, stage, carry)
+    ended = cast("tuple[Array, list[Array]]", jax.lax.fori_loop(0, count, stage, carry))
+    found, of_varied = ended
     return back + jnp.sum(found, axis=0), of_varied

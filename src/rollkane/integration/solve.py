@@ -1,24 +1,41 @@
 """One solve: by diffrax, or by the loop in C; adaptive, or along recorded steps."""
 
 import functools
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen import Course, RunLoop
 from ..codegen.tableau import is_plain, weights_of
 from ..kinematics.coordinates import unpack
-from ..validation.checks import is_traced
 from ..validation.codes import Code
+from .diffrax_checks import checked_before
+from .refused_steps import Holds, refusing
 from .replay import STEPS_BETWEEN
-from .step_control import Landings, LandOn, ReplaySteps, first_step, landings, refusing
+from .step_control import (
+    Landings,
+    LandOn,
+    Number,
+    ReplaySteps,
+    first_step,
+    landings,
+)
+
+# ``rates(t, y, model)`` of the packed state.
+Rates: TypeAlias = Callable[[Array, Array, Any], Array]
+# ``vectors(model, t, state)`` that no step may reverse.
+Vectors: TypeAlias = Callable[[Any, Any, Any], list[Array]]
+# ``allowed(model, t, state)`` -> whether a step may end there.
+Allowed: TypeAlias = Callable[[Any, Any, Any], Array]
+# Model, first packed state, times [s], tolerances, first step [s] or None; any behind.
+Inputs: TypeAlias = tuple[Any, ...]
+# Where steps began, how many there are, and what states were kept of them.
+Record: TypeAlias = tuple[Array, ...]
 
 # Steps that a derivative can follow: the record takes 13 bytes a step.
 _RECORDED_STEPS = 2**16
@@ -43,12 +60,12 @@ class Problem(NamedTuple):
             ``like`` has the shapes of a state.
     """
 
-    derivative: Callable
-    quickness: Callable
-    sizes: Callable
-    corners: Callable
-    consistent: Callable = lambda model, t, state: state
-    unbroken: Callable = lambda model, like: None
+    derivative: Callable[[Any, Array, Any], Any]
+    quickness: Callable[[Any], Array]
+    sizes: Callable[[Any], Any]
+    corners: Callable[[Any], tuple[Array | None, bool]]
+    consistent: Callable[[Any, Array, Any], Any] = lambda model, t, state: state
+    unbroken: Callable[[Any, Any], Vectors | None] = lambda model, like: None
 
 
 class Plan(NamedTuple):
@@ -69,14 +86,14 @@ class Plan(NamedTuple):
     """
 
     problem: Problem
-    solver: dfx.AbstractSolver
-    controller: dfx.AbstractStepSizeController | None
+    solver: dfx.AbstractSolver[Any]
+    controller: dfx.AbstractStepSizeController[Any, Any] | None
     adjoint: dfx.AbstractAdjoint | None
     saveat: dfx.SaveAt | None
     max_steps: int | None
-    progress_meter: dfx.AbstractProgressMeter
+    progress_meter: dfx.AbstractProgressMeter[Any]
     zeros: tuple[bytes, ...] | None
-    allowed: Callable | None = None
+    allowed: Allowed | None = None
 
 
 class Solution(eqx.Module):
@@ -96,13 +113,24 @@ class Solution(eqx.Module):
 
         A run that stops of itself does so at a time that depends on everything.
         """
-        lost = jax.tree.map(lambda x: x != x, self)
+
+        def is_nan(x: Array) -> Array:
+            return x != x
+
+        lost = jax.tree.map(is_nan, self)
         stopped = self.code != Code.COMPLETED
-        where = lambda s: (s.final_time, s.final_y)
+        where: Callable[[Solution], Any] = lambda s: (s.final_time, s.final_y)
         return eqx.tree_at(where, lost, replace_fn=lambda x: x | stopped)
 
 
-def solve(plan: Plan, rates: Callable, like: Any, inputs: tuple, replay: Any, adjoint):
+def solve(
+    plan: Plan,
+    rates: Rates,
+    like: Any,
+    inputs: Inputs,
+    replay: Record | None,
+    adjoint: dfx.AbstractAdjoint | None,
+) -> tuple[Solution, Record | None]:
     """One solve; see :func:`rollkane.integration.differentiate.differentiable`.
 
     Args:
@@ -123,7 +151,14 @@ def solve(plan: Plan, rates: Callable, like: Any, inputs: tuple, replay: Any, ad
     return _natively(plan, rates, like, inputs, adjoint is not None)
 
 
-def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
+def _by_diffrax(
+    plan: Plan,
+    rates: Rates,
+    like: Any,
+    inputs: Inputs,
+    replay: Record | None,
+    adjoint: dfx.AbstractAdjoint | None,
+) -> tuple[Solution, Record | None]:
     model, y0, times, rtol, atol, *_ = inputs
     t0, t1 = times[0], times[-1]
     dt0 = _first_step(plan, like, inputs)
@@ -139,7 +174,8 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
         holds = _holds(plan, model, like)
         if holds is not None:
             controller = refusing(controller, holds)
-    wanted = dfx.SubSaveAt(ts=times) if plan.saveat is None else plan.saveat.subs
+    given: Any = plan.saveat
+    wanted = dfx.SubSaveAt(ts=times) if given is None else given.subs
     subs = [wanted, dfx.SubSaveAt(t1=True)]
     recording = replay is None and adjoint is not None and plan.adjoint is None
     if recording:
@@ -152,8 +188,10 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
         max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
-    solve = functools.partial(dfx.diffeqsolve, dfx.ODETerm(rates), plan.solver)
-    with _checked_before(plan):
+    solve = functools.partial(
+        dfx.diffeqsolve, dfx.ODETerm(cast(Any, rates)), plan.solver
+    )
+    with checked_before(plan.saveat):
         solution = solve(
             *(t0, t1, dt0, y0, model),
             saveat=dfx.SaveAt(subs=subs),
@@ -163,8 +201,8 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
             throw=False,
             progress_meter=plan.progress_meter,
         )
-    time, final_time, *_ = cast(list, solution.ts)
-    y, final_y, *recorded = cast(list, solution.ys)
+    time, final_time, *_ = cast("list[Array]", solution.ts)
+    y, final_y, *recorded = cast("list[Array]", solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
     outcome = Solution(
         time=time,
@@ -180,13 +218,13 @@ def _by_diffrax(plan: Plan, rates, like, inputs, replay, adjoint):
     return outcome, record
 
 
-def _holds(plan: Plan, model: Any, like: Any) -> Callable | None:
+def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
     """Whether a step may stand, from its ends; None: every one may."""
     vectors, allowed = plan.problem.unbroken(model, like), plan.allowed
     if vectors is None and allowed is None:
         return None
 
-    def holds(model, t0, y0, t1, y1):
+    def holds(model: Any, t0: Number, y0: Array, t1: Number, y1: Array) -> Array:
         first, last = unpack(y0, like), unpack(y1, like)
         stands = jnp.asarray(True)
         if vectors is not None:
@@ -200,45 +238,7 @@ def _holds(plan: Plan, model: Any, like: Any) -> Callable | None:
     return holds
 
 
-_TRACING = threading.RLock()
-
-
-class _WithoutCallbacks:
-    """equinox's internal functions, but that traced checks leave no host callback."""
-
-    def __init__(self, checked: Any):
-        self._checked = checked
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._checked, name)
-
-    def error_if(self, x, pred, message):
-        """The value; refused at once where it is known to be bad."""
-        return x if is_traced(x, pred) else self._checked.error_if(x, pred, message)
-
-
-@contextmanager
-def _checked_before(plan: Plan) -> Iterator[None]:
-    """Trace diffrax without its checks of times and first step, which are made here.
-
-    It has no way to leave them out, and as callbacks to the host they would keep
-    programs out of the persistent compilation cache. A ``SaveAt`` of the user's keeps
-    them.
-    """
-    module: Any = getattr(dfx, "_integrate", None)
-    if plan.saveat is not None or not hasattr(module, "eqxi"):
-        yield
-        return
-    with _TRACING:
-        checked = module.eqxi
-        module.eqxi = _WithoutCallbacks(checked)
-        try:
-            yield
-        finally:
-            module.eqxi = checked
-
-
-def _first_step(plan: Plan, like, inputs) -> Array:
+def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
     """Length of the first step [s]."""
     _, y0, times, _, _, dt0, *_ = inputs
     if dt0 is not None:
@@ -248,11 +248,17 @@ def _first_step(plan: Plan, like, inputs) -> Array:
     return jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
 
 
-def _natively(plan: Plan, rates, like, inputs, recording: bool):
+def _natively(
+    plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
+) -> tuple[Solution, Record | None]:
     model, y0, times, rtol, atol, *_ = inputs
-    leaves, tree = jax.tree.flatten(model)
+    leaves, tree = cast("tuple[list[Array], Any]", jax.tree.flatten(model))
+
+    def derivative(t: Array, y: Array, *leaves: Array) -> Array:
+        return rates(t, y, jax.tree.unflatten(tree, leaves))
+
     loop = RunLoop(
-        lambda t, y, *leaves: rates(t, y, jax.tree.unflatten(tree, leaves)),
+        derivative,
         y0,
         leaves,
         weights_of(plan.solver, "the loop in C"),
@@ -295,7 +301,9 @@ def _natively(plan: Plan, rates, like, inputs, recording: bool):
     return outcome, (begun, outcome.steps, kept)
 
 
-def unbroken_numbers(unbroken: Callable, model: Any, like: Any) -> Callable | None:
+def unbroken_numbers(
+    unbroken: Callable[[Any, Any], Vectors | None], model: Any, like: Any
+) -> Callable[..., Array] | None:
     """What no step may reverse, as numbers of packed states.
 
     Args:
@@ -306,26 +314,27 @@ def unbroken_numbers(unbroken: Callable, model: Any, like: Any) -> Callable | No
     Returns:
         ``numbers(t, y, *leaves)``: the vectors one behind the other; None: none.
     """
-    vectors, tree = unbroken(model, like), jax.tree.structure(model)
+    vectors = unbroken(model, like)
+    tree = cast(Any, jax.tree.structure(model))
     if vectors is None:
         return None
 
-    def numbers(t, y, *leaves):
+    def numbers(t: Array, y: Array, *leaves: Array) -> Array:
         found = vectors(jax.tree.unflatten(tree, leaves), t, unpack(y, like))
         return jnp.concatenate(found)
 
     return numbers
 
 
-def plain(plan: Plan, times: Array) -> bool:
+def plain(plan: Plan, times: Float[Array, " T"]) -> bool:
     """Whether a run is nothing but its steps, and outputs at their ends."""
     ends = plan.controller is None or times.shape[0] == 2
     return is_plain(plan.solver) and plan.saveat is None and ends
 
 
 def _landing(
-    model: Any, times, rtol, atol, plan: Plan
-) -> dfx.AbstractStepSizeController:
+    model: Any, times: Float[Array, " T"], rtol: Array, atol: Array, plan: Plan
+) -> dfx.AbstractStepSizeController[Any, Any]:
     """Adaptive steps that end on outputs and on corners of the right-hand side."""
     dtmin = _least_step(times)
     controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
@@ -336,19 +345,19 @@ def _landing(
     return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
 
 
-def _least_step(times: Array) -> Array:
+def _least_step(times: Float[Array, " T"]) -> Float[Array, ""]:
     """What the times' rounding still tells apart [s]."""
-    resolution = 10 * jnp.finfo(times.dtype).eps
+    resolution = 10 * cast(Any, jnp.finfo(times.dtype).eps)
     return resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
 
 
-def landings_of(model: Any, times: Array, plan: Plan) -> Landings:
+def landings_of(model: Any, times: Float[Array, " T"], plan: Plan) -> Landings:
     """Where steps have to end: on outputs, and on corners of the model's motion."""
     outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
     return landings(outputs, *plan.problem.corners(model))
 
 
-def _code(result, stuck) -> Array:
+def _code(result: dfx.RESULTS, stuck: Bool[Array, ""]) -> Int[Array, ""]:
     code = jnp.asarray(Code.STOPPED)
     for known, meaning in (
         (dfx.RESULTS.successful, Code.COMPLETED),

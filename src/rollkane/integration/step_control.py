@@ -1,19 +1,30 @@
-"""Step controllers: landing on outputs, refusing steps, replaying recorded ones."""
+"""Step controllers: landing on outputs, replaying recorded steps."""
+
+# equinox lets a property stand for an abstract field
+# pyright: reportIncompatibleVariableOverride=false
+# pyright: reportIncompatibleMethodOverride=false
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..geometry.small_linear import norm
 from ..validation.checks import is_traced
 
+# What diffrax takes for a time, a length of one, or a tolerance.
+Number: TypeAlias = float | Array | np.ndarray
+# Direction of time: 1 or -1.
+Sense: TypeAlias = int | Array | np.ndarray
+_Truth: TypeAlias = bool | Array | np.ndarray
+# Whether a step stands, ends of the next, whether behind a jump, memory, result.
+Adapted: TypeAlias = tuple[_Truth, Number, Number, _Truth, Any, dfx.RESULTS]
 # Bytes of times that are not remembered: 256 of them are 16 MB at most.
 _MANY = 2**16
 
@@ -61,7 +72,7 @@ def stops_of(times: Any, least: float = 0.0) -> Stops:
     return of_times(_stops, times, least)
 
 
-def of_times(function: Callable, times: np.ndarray, *further: Any) -> Any:
+def of_times(function: Callable[..., Any], times: np.ndarray, *further: Any) -> Any:
     """``function(times, ...)``; of times that were there before, without a new look."""
     if times.nbytes > _MANY:
         return function(times, *further)
@@ -69,13 +80,18 @@ def of_times(function: Callable, times: np.ndarray, *further: Any) -> Any:
 
 
 @functools.lru_cache(256)
-def _of_known(function: Callable, times: bytes, dtype: np.dtype, further: tuple) -> Any:
+def _of_known(
+    function: Callable[..., Any],
+    times: bytes,
+    dtype: np.dtype[Any],
+    further: tuple[Any, ...],
+) -> Any:
     return function(np.frombuffer(times, dtype), *further)
 
 
 def _stops(times: Any, least: float) -> Stops:
     traced = is_traced(times)
-    library = jnp if traced else np
+    library = cast(Any, jnp if traced else np)
     near = library.maximum(clock_step(times, library), times.dtype.type(least))
     close = library.abs(library.diff(times)) <= near
     if not traced and not close.any():
@@ -96,7 +112,7 @@ def clock_step(times: Any, library: Any = jnp) -> Any:
     return 100 * np.finfo(times.dtype).eps * library.max(library.abs(times))
 
 
-class LandOn(dfx.AbstractAdaptiveStepSizeController):
+class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     """Adaptive steps that end exactly on every output time.
 
     An output is then as accurate as the steps (diffrax's interpolants are of order 4
@@ -113,27 +129,41 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController):
     landings: Landings
 
     @property
-    def rtol(self):
+    def rtol(self) -> Number:
         """Of the controller; implicit methods solve to it."""
         return self.controller.rtol
 
     @property
-    def atol(self):
+    def atol(self) -> Number:
         """Of the controller."""
         return self.controller.atol
 
     @property
-    def norm(self):
+    def norm(self) -> Callable[[Any], Number]:
         """Of the controller."""
-        return self.controller.norm
+        return cast(Any, self.controller).norm
 
-    def wrap(self, direction):
+    def wrap(self, direction: Sense) -> "LandOn":
         """The controller for the direction of time in which diffrax works."""
-        landings = jax.tree.map(lambda t: t * direction, self.landings)
+
+        def turned(t: Array) -> Array:
+            return t * direction
+
+        landings = jax.tree.map(turned, self.landings)
         parts = self.controller.wrap(direction), landings
         return eqx.tree_at(lambda c: (c.controller, c.landings), self, parts)
 
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+    def init(
+        self,
+        terms: Any,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        dt0: Any,
+        args: Any,
+        func: Callable[..., Any],
+        error_order: Number | None,
+    ) -> tuple[Number, Any]:
         """First step, and the state: controller, next output, step wanted before."""
         t_next, inner = self.controller.init(
             terms, t0, t1, y0, dt0, args, func, error_order
@@ -143,20 +173,28 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController):
         first = self._towards(self.landings.ends[index], t0, wanted)
         return first, (inner, index, wanted)
 
-    def _next(self, t):
+    def _next(self, t: Number) -> Int[Array, ""]:
         """The first end behind a time."""
         ends = self.landings.ends
         behind = jnp.searchsorted(ends, t, side="right")
         return jnp.minimum(behind, ends.shape[0] - 1).astype(int)
 
-    def _towards(self, goal, t, dt):
+    def _towards(self, goal: Array, t: Number, dt: Number) -> Float[Array, ""]:
         left = goal - t
         halved = jnp.where(dt > 0.5 * left, t + 0.5 * left, t + dt)
         return jnp.where(dt >= 0.999 * left, goal, halved)
 
     def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
+        self,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        y1_candidate: Any,
+        args: Any,
+        y_error: Any,
+        error_order: Number,
+        controller_state: Any,
+    ) -> Adapted:
         """Next step: the controller's, or the one wanted before the landing."""
         inner, index, wanted = controller_state
         keep, next_t0, next_t1, jump, inner, result = self.controller.adapt_step_size(
@@ -217,85 +255,7 @@ def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, "
     return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
 
 
-class _Refusing(eqx.Module):
-    """A controller of which some steps are refused: tried again, shorter.
-
-    Where even the shortest is refused, or the controller cannot shorten it, the run
-    ends.
-
-    Attributes:
-        controller: Any.
-        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand; the model
-            is what diffrax calls args.
-        sense: Direction of time in which diffrax works.
-    """
-
-    controller: dfx.AbstractStepSizeController
-    holds: Callable = eqx.field(static=True)
-    sense: Any = 1.0
-
-    def wrap(self, direction):
-        """The controller for the direction of time in which diffrax works."""
-        parts = self.controller.wrap(direction), direction
-        return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
-
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        """As the controller."""
-        return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
-
-    def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
-        """As the controller, to which a refused step has a large error."""
-        holds = self.holds(args, t0 * self.sense, y0, t1 * self.sense, y1_candidate)
-        if y_error is not None:
-            y_error = jnp.where(holds, y_error, jnp.asarray(jnp.inf, y_error.dtype))
-        keep, next_t0, *following, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-        )
-        stuck = keep & ~holds
-        # the run ends where its state is, not at the end of what was refused
-        next_t0 = jnp.where(stuck, t0, next_t0)
-        result = dfx.RESULTS.where(stuck, dfx.RESULTS.dt_min_reached, result)
-        return keep & holds, next_t0, *following, result
-
-
-class _RefusingFixed(_Refusing, dfx.AbstractStepSizeController):
-    pass
-
-
-class _RefusingAdaptive(_Refusing, dfx.AbstractAdaptiveStepSizeController):
-    """With the controller's tolerances, to which implicit methods solve."""
-
-    @property
-    def rtol(self):
-        return self.controller.rtol  # pyright: ignore[reportAttributeAccessIssue]
-
-    @property
-    def atol(self):
-        return self.controller.atol  # pyright: ignore[reportAttributeAccessIssue]
-
-    @property
-    def norm(self):
-        return self.controller.norm  # pyright: ignore[reportAttributeAccessIssue]
-
-
-def refusing(
-    controller: dfx.AbstractStepSizeController, holds: Callable
-) -> dfx.AbstractStepSizeController:
-    """A controller of which some steps are refused.
-
-    Args:
-        controller: Any.
-        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
-    """
-    if isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
-        # its tolerances are the controller's, which diffrax declares as fields
-        return _RefusingAdaptive(controller, holds)  # pyright: ignore[reportCallIssue]
-    return _RefusingFixed(controller, holds)
-
-
-class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):
+class ReplaySteps(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     """Steps from recorded times, all accepted; like ``diffrax.StepTo``, but padded.
 
     Attributes:
@@ -311,15 +271,22 @@ class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):
     jumps: Float[Array, " k"] | None
     rtol: Any
     atol: Any
-    norm: Callable = dfx.PIDController(rtol=1.0, atol=1.0).norm
+    norm: Callable[[Any], Number] = cast(
+        Any, dfx.PIDController(rtol=1.0, atol=1.0)
+    ).norm
 
-    def wrap(self, direction):
+    def wrap(self, direction: Sense) -> "ReplaySteps":
         """The record for the direction of time in which diffrax works."""
-        times = lambda c: c.times if c.jumps is None else (c.times, c.jumps)
-        turned = jax.tree.map(lambda t: t * direction, times(self))
-        return eqx.tree_at(times, self, turned)
+        times: Callable[[ReplaySteps], Any] = lambda c: (
+            c.times if c.jumps is None else (c.times, c.jumps)
+        )
 
-    def _end(self, index):
+        def turned(t: Array) -> Array:
+            return t * direction
+
+        return eqx.tree_at(times, self, jax.tree.map(turned, times(self)))
+
+    def _end(self, index: int | Int[Array, ""]) -> tuple[Float[Array, ""], _Truth]:
         """Where the step ends whose successor is recorded; whether at a jump."""
         start = self.times[index]
         if self.jumps is None:
@@ -328,14 +295,32 @@ class ReplaySteps(dfx.AbstractAdaptiveStepSizeController):
         jumped = jnp.any(at == self.jumps)
         return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
 
-    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+    def init(
+        self,
+        terms: Any,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        dt0: Any,
+        args: Any,
+        func: Callable[..., Any],
+        error_order: Number | None,
+    ) -> tuple[Number, Any]:
         """First recorded step."""
         del terms, t0, y0, dt0, args, func, error_order
         return jnp.minimum(self._end(1)[0], t1), 1
 
     def adapt_step_size(
-        self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
-    ):
+        self,
+        t0: Number,
+        t1: Number,
+        y0: Any,
+        y1_candidate: Any,
+        args: Any,
+        y_error: Any,
+        error_order: Number,
+        controller_state: Any,
+    ) -> Adapted:
         """Next recorded step; the run ends where its record does."""
         del t0, y0, y1_candidate, args, y_error, error_order
         _, jumped = self._end(controller_state)

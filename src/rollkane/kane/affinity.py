@@ -6,7 +6,8 @@ differences are zero to a few roundings, while values have the roundings of ever
 that cancels in them.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -46,7 +47,7 @@ class Samples(NamedTuple):
     slopes: Velocities
 
 
-def sampled(system: KaneSystem, t, state: KaneState) -> Samples:
+def sampled(system: KaneSystem, t: Array, state: KaneState) -> Samples:
     """Every function that has to be affine in the speeds, at the state and beside it.
 
     Args:
@@ -55,16 +56,22 @@ def sampled(system: KaneSystem, t, state: KaneState) -> Samples:
         state: Coordinates and independent speeds.
     """
 
-    def along(t, q, u):
-        of_speeds = lambda u: values_of(system, t, q, u)
+    def along(t: Array, q: Array, u: Array) -> tuple[Velocities, Velocities]:
+        of_speeds: Callable[[Array], Velocities] = lambda u: values_of(system, t, q, u)
         signs = jnp.asarray([0.0, 1.0, -1.0], u.dtype)
-        return jax.vmap(lambda s: jax.jvp(of_speeds, (s * u,), (u,)))(signs)
+
+        def one(s: Array) -> tuple[Velocities, Velocities]:
+            return jax.jvp(of_speeds, (s * u,), (u,))
+
+        return jax.vmap(one)(signs)
 
     times, places, speeds = _points(system, t, state)
     return Samples(speeds, *jax.vmap(along)(times, places, speeds))
 
 
-def _points(system: KaneSystem, t, state: KaneState) -> tuple[Any, Any, Any]:
+def _points(
+    system: KaneSystem, t: Array, state: KaneState
+) -> tuple[Array, Array, Array]:
     """Times, coordinates and speeds to look at; the same ones each time."""
     q, u = state.q, state.u
     draw = np.random.default_rng(0)
@@ -115,22 +122,25 @@ def refuse_curved(system: KaneSystem, found: Samples, where: str) -> None:
             )
 
 
-def _bent(v: np.ndarray, V: np.ndarray, u: np.ndarray) -> tuple[float, float]:
-    """By how much slopes V change, and values v leave them, of their size [1].
+def _bent(values: np.ndarray, slopes: np.ndarray, u: np.ndarray) -> tuple[float, float]:
+    """By how much slopes change, and values leave them, of their size [1].
 
     Slopes: per unit of speed above one. One where a function is finite at some speeds
     alone, zero where it is at none.
     """
-    v, V = (x.reshape(*x.shape[:2], -1).astype(float) for x in (v, V))
-    finite = np.all(np.isfinite(np.concatenate([v, V], axis=2)), axis=2)
+    v, w = (x.reshape(*x.shape[:2], -1).astype(float) for x in (values, slopes))
+    finite = np.all(np.isfinite(np.concatenate([v, w], axis=2)), axis=2)
     every = np.all(finite, axis=1)
     if (np.any(finite, axis=1) & ~every).any():
         return 1.0, 0.0
-    v, V, u = v[every], V[every], u[every]
-    largest = lambda x: np.abs(x).max(axis=(1, 2), initial=0.0)
+    v, w, u = v[every], w[every], u[every]
+
+    def largest(x: np.ndarray) -> np.ndarray:
+        return np.abs(x).max(axis=(1, 2), initial=0.0)
+
     quick = np.abs(u).max(axis=1, initial=0.0)
-    size = largest(V) + _NOTHING * quick
+    size = largest(w) + _NOTHING * quick
     signs = np.array([[1.0], [-1.0]])
-    turned = largest(V[:, 1:] - V[:, :1]) / size / np.maximum(1.0, quick)
-    jumped = largest(v[:, 1:] - v[:, :1] - signs * V[:, :1]) / (size + largest(v))
+    turned = largest(w[:, 1:] - w[:, :1]) / size / np.maximum(1.0, quick)
+    jumped = largest(v[:, 1:] - v[:, :1] - signs * w[:, :1]) / (size + largest(v))
     return float(turned.max(initial=0.0)), float(jumped.max(initial=0.0))

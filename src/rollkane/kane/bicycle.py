@@ -5,10 +5,12 @@ origin while the bicycle stands upright and straight.
 """
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import about_axis
@@ -16,6 +18,12 @@ from ..geometry.small_linear import cross
 from .system import KaneState, KaneSystem, Load, RigidBody
 
 LEAN_AND_STEER = (3, 5)  # coordinates, for ``linearize``
+
+
+_Time: TypeAlias = Float[Array, ""]
+_Q: TypeAlias = Float[Array, "8"]
+_U: TypeAlias = Float[Array, "6"]
+_Vector: TypeAlias = Float[Array, "3"]
 
 
 class Bicycle(eqx.Module):
@@ -99,7 +107,7 @@ def whipple_bicycle(bicycle: Bicycle | None = None) -> KaneSystem:
     )
 
 
-def bicycle_state(speed, bicycle: Bicycle | None = None) -> KaneState:
+def bicycle_state(speed: ArrayLike, bicycle: Bicycle | None = None) -> KaneState:
     """A bicycle that goes straight and upright.
 
     Args:
@@ -134,7 +142,7 @@ class _Posture(NamedTuple):
     touching: Float[Array, "3"]
 
 
-def _posture(t, q, u, bicycle: Bicycle) -> _Posture:
+def _posture(t: _Time, q: _Q, u: _U, bicycle: Bicycle) -> _Posture:
     w, c, tilt = bicycle.wheel_base, bicycle.trail, bicycle.steer_tilt
     r_rear, r_front = bicycle.rear_radius, bicycle.front_radius
     down = jnp.array([0.0, 0.0, 1.0], q.dtype)
@@ -168,89 +176,89 @@ def _posture(t, q, u, bicycle: Bicycle) -> _Posture:
     )
 
 
-def _kinematics(t, q, u, now: _Posture):
+def _kinematics(t: _Time, q: _Q, u: _U, now: _Posture) -> _Q:
     forward = -now.bicycle.rear_radius * (u[2] + u[4])
     return jnp.concatenate(
         [jnp.stack([forward * jnp.cos(q[2]), forward * jnp.sin(q[2])]), u]
     )
 
 
-def _rear(t, q, u, now: _Posture):
+def _rear(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return cross(now.rear_spin, now.rear)
 
 
-def _frame(t, q, u, now: _Posture):
+def _frame(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     x, z = now.bicycle.frame_mass_center
     place = now.frame @ _vector(x, z + now.bicycle.rear_radius)
     return _rear(t, q, u, now) + cross(now.frame_spin, place)
 
 
-def _head(t, q, u, now: _Posture):
+def _head(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return _rear(t, q, u, now) + cross(now.frame_spin, now.head - now.rear)
 
 
-def _fork(t, q, u, now: _Posture):
+def _fork(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     x, z = now.bicycle.fork_mass_center
     foot = now.bicycle.wheel_base + now.bicycle.trail
     place = now.fork @ _vector(x - foot, z)
     return _head(t, q, u, now) + cross(now.fork_spin, place)
 
 
-def _front(t, q, u, now: _Posture):
+def _front(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return _head(t, q, u, now) + cross(now.fork_spin, now.front - now.head)
 
 
-def _front_slip(t, q, u, now: _Posture):
+def _front_slip(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     """Velocity of the front wheel's point at the ground: zero."""
     return _front(t, q, u, now) + cross(now.front_spin, now.touching - now.front)
 
 
-def _front_height(t, q, u, now: _Posture):
+def _front_height(t: _Time, q: _Q, u: _U, now: _Posture) -> Float[Array, "1"]:
     return now.touching[2:]
 
 
-def _rear_spin(t, q, u, now: _Posture):
+def _rear_spin(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return (now.frame @ about_axis(1, q[6])).T @ now.rear_spin
 
 
-def _frame_spin(t, q, u, now: _Posture):
+def _frame_spin(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return now.frame.T @ now.frame_spin
 
 
-def _fork_spin(t, q, u, now: _Posture):
+def _fork_spin(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return now.fork.T @ now.fork_spin
 
 
-def _front_spin(t, q, u, now: _Posture):
+def _front_spin(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return (now.fork @ about_axis(1, q[7])).T @ now.front_spin
 
 
-def _steering(t, q, u, now: _Posture):
+def _steering(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     """Angular velocity of the fork against the frame."""
     return u[3] * now.steer_axis
 
 
-def _steer_torque(t, q, u, now: _Posture):
+def _steer_torque(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return now.bicycle.steer_torque * now.steer_axis
 
 
 class _Weight(eqx.Module):
     mass: Any
 
-    def __call__(self, t, q, u, now: _Posture):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
         return self.mass * _vector(0.0, now.bicycle.gravity)
 
 
-def _vector(x, z) -> Float[Array, "3"]:
+def _vector(x: ArrayLike, z: ArrayLike) -> _Vector:
     """In the plane of symmetry."""
     return jnp.stack([jnp.asarray(a, float) for a in (x, 0.0, z)])
 
 
-def _of_wheel(moments) -> Float[Array, "3 3"]:
+def _of_wheel(moments: Sequence[ArrayLike] | Array) -> Float[Array, "3 3"]:
     return _matrix((moments[0], moments[1], moments[0], 0.0))
 
 
-def _matrix(entries) -> Float[Array, "3 3"]:
+def _matrix(entries: Sequence[ArrayLike] | Array) -> Float[Array, "3 3"]:
     xx, yy, zz, xz = (jnp.asarray(entries[k], float) for k in range(4))
     o = jnp.zeros_like(xx)
     rows = [[xx, o, xz], [o, yy, o], [xz, o, zz]]

@@ -6,7 +6,8 @@ its rate ``F_q q' + F_t`` vanishes at all speeds that the constraints allow. Wit
 ``F_q (Y s + Z) + F_t = 0``. Source: docs/theory.md, (9.4).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
+from ..validation.user_functions import GivenFunction
 from .equations import Partials, speeds_of
 from .system import KaneState, KaneSystem
 
@@ -56,7 +58,9 @@ class Held(NamedTuple):
     by_place_dot: Float[Array, "c n"]
 
 
-def held(system: KaneSystem, t, state: KaneState, partials: Partials) -> Held | None:
+def held(
+    system: KaneSystem, t: Array, state: KaneState, partials: Partials
+) -> Held | None:
     """What becomes of a system's configuration; None without one.
 
     Args:
@@ -75,13 +79,18 @@ def held(system: KaneSystem, t, state: KaneState, partials: Partials) -> Held | 
     u = s + T @ jnp.asarray(drawn, q.dtype)
     moved = jnp.ones_like(t), Y @ u + Z
 
-    def values(t, q):
+    def values(t: Array, q: Array) -> tuple[Any, Any]:
         more = system.more(t, q, u)
-        of = lambda f: None if f is None else f(t, q, u, more)
+
+        def of(f: GivenFunction | None) -> Any:
+            return None if f is None else f(t, q, u, more)
+
         F = of(system.configuration)
         return (F, of(system.kinematics), of(system.constraints)), F
 
-    derivatives = jax.jacfwd(values, argnums=(0, 1), has_aux=True)
+    derivatives = cast(
+        "Callable[..., Any]", jax.jacfwd(values, argnums=(0, 1), has_aux=True)
+    )
     (now, F), (later, _) = jax.jvp(derivatives, (t, q), moved)
     (F_t, F_q), *velocities = now
     (F_t_dot, F_q_dot), *_ = later
@@ -166,13 +175,16 @@ def refuse_violated(
 
 def _reach(found: Held) -> np.ndarray:
     """What a unit of the coordinates gives F, or less where F bends within a unit."""
-    total = lambda x: np.nan_to_num(np.abs(np.asarray(x, float))).sum(axis=-1)
+
+    def total(x: Array) -> np.ndarray:
+        return np.nan_to_num(np.abs(np.asarray(x, float))).sum(axis=-1)
+
     slope, quick = total(found.by_place), total(found.q_dot)
     bends = total(found.by_place_dot) / (quick or 1.0)
     return slope * slope / np.maximum(bends, slope + (slope == 0.0))
 
 
-def _nearer(system: KaneSystem, q, F, F_q) -> str:
+def _nearer(system: KaneSystem, q: np.ndarray, F: np.ndarray, F_q: np.ndarray) -> str:
     """One step of Newton's towards a configuration, in words."""
     bound = list(system.dependent_coordinates)
     if np.linalg.matrix_rank(F_q[:, bound]) < len(bound):

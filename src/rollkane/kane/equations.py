@@ -6,23 +6,20 @@ functions share is traced twice, however many there are. Source: [B], (1) to
 (6); docs/theory.md, section 9.
 """
 
-from collections.abc import Iterable
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..geometry.small_linear import components, cross, solve_spd
+from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import GivenFunction, as_time
-from .system import KaneState, KaneSystem, RigidBody
-
-# of the scale of a matrix: a thousand roundings of double precision
-SINGULAR = 1e-12
-_UNROLLED = 6  # larger systems are solved by lineax
+from .linear_solves import inverse_of, solved
+from .system import KaneState, KaneSystem, Numbers, RigidBody
 
 
 class KaneEquations(NamedTuple):
@@ -71,16 +68,23 @@ class Velocities(NamedTuple):
     kinematics: Any
 
 
+_Both: TypeAlias = tuple[Velocities, Velocities]
+
+
 class Partials(NamedTuple):
     """Velocities at rest, and their derivatives by the speeds."""
 
     at_rest: Velocities
     by_speeds: Velocities
 
-    def at(self, name: str, u):
+    def at(self, name: str, u: Float[Array, " m"]) -> Any:
         """Values of one kind at given speeds."""
         rest, by_speeds = getattr(self.at_rest, name), getattr(self.by_speeds, name)
-        return jax.tree.map(lambda v, V: v + V @ u, rest, by_speeds)
+
+        def moved(v: Array, V: Array) -> Array:
+            return v + V @ u
+
+        return jax.tree.map(moved, rest, by_speeds)
 
 
 class _Rates(NamedTuple):
@@ -93,7 +97,9 @@ class _Rates(NamedTuple):
     generalized: Array | None
 
 
-def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
+def kane_equations(
+    system: KaneSystem, t: ArrayLike, q: Numbers, u: Numbers
+) -> KaneEquations:
     """Mass matrix, forcing and generalized active forces.
 
     Args:
@@ -115,7 +121,7 @@ def kane_equations(system: KaneSystem, t, q, u) -> KaneEquations:
     return _assembled(system, partials, rates, u, q_dot)
 
 
-def kane_derivative(system: KaneSystem, t, state: KaneState) -> KaneState:
+def kane_derivative(system: KaneSystem, t: ArrayLike, state: KaneState) -> KaneState:
     """Rates of coordinates and independent speeds: the right-hand side itself.
 
     Args:
@@ -129,7 +135,7 @@ def kane_derivative(system: KaneSystem, t, state: KaneState) -> KaneState:
     return reduced(system, as_time(t), state).rates()
 
 
-def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
+def reactions(system: KaneSystem, t: ArrayLike, state: KaneState) -> Float[Array, " a"]:
     """Generalized reactions against the auxiliary speeds, shape (auxiliary,).
 
     What has to act along each auxiliary speed so that it stays zero: with a speed that
@@ -144,12 +150,14 @@ def reactions(system: KaneSystem, t, state: KaneState) -> Float[Array, " a"]:
         state: Coordinates and independent speeds.
     """
     now = reduced(system, as_time(t), state)
-    u_dot = now.T @ _solve(now.mass_matrix, now.forcing) + now.bias
+    u_dot = now.T @ solved(now.mass_matrix, now.forcing) + now.bias
     lacking = now.of_all.mass_matrix @ u_dot - now.of_all.forcing
     return now.with_auxiliary.T @ lacking
 
 
-def kinetic_energy(system: KaneSystem, t, state: KaneState) -> Float[Array, ""]:
+def kinetic_energy(
+    system: KaneSystem, t: ArrayLike, state: KaneState
+) -> Float[Array, ""]:
     """Kinetic energy of a state [J].
 
     Args:
@@ -161,7 +169,9 @@ def kinetic_energy(system: KaneSystem, t, state: KaneState) -> Float[Array, ""]:
     return _energy(system, partials, speeds_of(system, partials, state.u).u)
 
 
-def all_speeds(system: KaneSystem, t, state: KaneState) -> Float[Array, " m"]:
+def all_speeds(
+    system: KaneSystem, t: ArrayLike, state: KaneState
+) -> Float[Array, " m"]:
     """All generalized speeds of a state, dependent ones included, shape (speeds,).
 
     Where constraints depend on each other, the dependent speeds are NaN.
@@ -193,10 +203,10 @@ class Reduced(NamedTuple):
 
     def rates(self) -> KaneState:
         """Q' and u_i'."""
-        return KaneState(self.of_all.q_dot, _solve(self.mass_matrix, self.forcing))
+        return KaneState(self.of_all.q_dot, solved(self.mass_matrix, self.forcing))
 
 
-def reduced(system: KaneSystem, t, state: KaneState) -> Reduced:
+def reduced(system: KaneSystem, t: Array, state: KaneState) -> Reduced:
     """Equations of the independent speeds alone."""
     partials = partials_of(system, t, state.q)
     u, T, follow = speeds_of(system, partials, state.u)
@@ -212,7 +222,9 @@ def reduced(system: KaneSystem, t, state: KaneState) -> Reduced:
     return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, lifted, of_all, partials)
 
 
-def values_of(system: KaneSystem, t, q, u) -> Velocities:
+def values_of(
+    system: KaneSystem, t: Array, q: Float[Array, " n"], u: Float[Array, " m"]
+) -> Velocities:
     """Of every function that is affine in the speeds."""
     more = system.more(t, q, u)
     functions = Velocities(
@@ -222,26 +234,40 @@ def values_of(system: KaneSystem, t, q, u) -> Velocities:
         system.constraints,
         system.kinematics,
     )
-    alone = lambda x: isinstance(x, GivenFunction)
-    return jax.tree.map(lambda f: f(t, q, u, more), functions, is_leaf=alone)
+    alone: Callable[[Any], bool] = lambda x: isinstance(x, GivenFunction)
+
+    def value(f: GivenFunction) -> Any:
+        return f(t, q, u, more)
+
+    return jax.tree.map(value, functions, is_leaf=alone)
 
 
-def partials_of(system: KaneSystem, t, q) -> Partials:
+def partials_of(system: KaneSystem, t: Array, q: Float[Array, " n"]) -> Partials:
     """All partial velocities."""
 
-    def of_speeds(u):
+    def of_speeds(u: Array) -> tuple[Velocities, Velocities]:
         values = values_of(system, t, q, u)
         return values, values
 
     rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
-    by_speeds, at_rest = jax.jacfwd(of_speeds, has_aux=True)(rest)
+    found = cast(_Both, jax.jacfwd(of_speeds, has_aux=True)(rest))
+    by_speeds, at_rest = found
     return Partials(at_rest, by_speeds)
 
 
-def _rates(system: KaneSystem, t, q, u, q_dot) -> _Rates:
-    def along(t, q):
+def _rates(
+    system: KaneSystem,
+    t: Array,
+    q: Float[Array, " n"],
+    u: Float[Array, " m"],
+    q_dot: Float[Array, " n"],
+) -> _Rates:
+    def along(t: Array, q: Array) -> tuple[Any, Any]:
         more = system.more(t, q, u)
-        of = lambda f: None if f is None else f(t, q, u, more)
+
+        def of(f: GivenFunction | None) -> Any:
+            return None if f is None else f(t, q, u, more)
+
         velocities = (
             [of(part.velocity) for part in system.parts],
             [of(part.angular_velocity) for part in _turning(system)],
@@ -254,7 +280,9 @@ def _rates(system: KaneSystem, t, q, u, q_dot) -> _Rates:
     return _Rates(*rates, *forces)
 
 
-def speeds_of(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
+def speeds_of(
+    system: KaneSystem, partials: Partials, u_independent: Float[Array, " i"]
+) -> Speeds:
     """Every speed from the independent ones, by the constraints."""
     size = system.speeds + system.auxiliary
     free = _places(size, system.independent, u_independent.dtype)
@@ -263,12 +291,12 @@ def speeds_of(system: KaneSystem, partials: Partials, u_independent) -> Speeds:
     if C is None:
         return Speeds(u, free, jnp.zeros((size, 0), u.dtype))
     bound = _places(size, system.dependent, u.dtype)
-    follow = -bound @ _inverse(C @ bound)
+    follow = -bound @ inverse_of(C @ bound)
     u = u + follow @ partials.at("constraints", u)
     return Speeds(u, free + follow @ (C @ free), follow)
 
 
-def _with_auxiliary(system: KaneSystem, u) -> Float[Array, " m"]:
+def _with_auxiliary(system: KaneSystem, u: Numbers) -> Float[Array, " m"]:
     """All speeds, the auxiliary ones behind the others."""
     known = None if is_traced(u) else np.asarray(u)
     u, count = jnp.asarray(u), system.auxiliary
@@ -291,18 +319,25 @@ def _with_auxiliary(system: KaneSystem, u) -> Float[Array, " m"]:
     return u
 
 
-def _places(size: int, chosen: Iterable[int], dtype) -> Float[Array, "m k"]:
+def _places(size: int, chosen: Iterable[int], dtype: Any) -> Float[Array, "m k"]:
     """Puts chosen speeds into their places among all."""
     return jnp.asarray(np.eye(size)[:, list(chosen)], dtype)
 
 
-def _assembled(system, partials: Partials, rates: _Rates, u, q_dot) -> KaneEquations:
+def _assembled(
+    system: KaneSystem,
+    partials: Partials,
+    rates: _Rates,
+    u: Float[Array, " m"],
+    q_dot: Float[Array, " n"],
+) -> KaneEquations:
     """Mass matrix and forces from velocities, their derivatives, and loads."""
-    M = jnp.zeros((u.shape[0], u.shape[0]), u.dtype)
+    masses = jnp.zeros((u.shape[0], u.shape[0]), u.dtype)
     inertia_force = jnp.zeros_like(u)
+    turned: list[Array] = partials.at("turnings", u)
     turnings = iter(
         zip(
-            partials.at("turnings", u),
+            turned,
             partials.by_speeds.turnings,
             rates.turnings,
             strict=True,
@@ -318,23 +353,25 @@ def _assembled(system, partials: Partials, rates: _Rates, u, q_dot) -> KaneEquat
         if isinstance(part, RigidBody):
             w, W, alpha = next(turnings)
             I_W = part.inertia @ W
-            M = M + W.T @ I_W
+            masses = masses + W.T @ I_W
             moment = part.inertia @ alpha + cross(w, part.inertia @ w)
             inertia_force = inertia_force + W.T @ moment
             if part.own_axes:
                 a = a + cross(w, v)
-        M = M + part.mass * (V.T @ V)
+        masses = masses + part.mass * (V.T @ V)
         inertia_force = inertia_force + part.mass * (V.T @ a)
     fr = jnp.zeros_like(u)
-    for V, load in zip(partials.by_speeds.on_loads, rates.loads, strict=True):
-        fr = fr + V.T @ load
+    for by_speeds, load in zip(partials.by_speeds.on_loads, rates.loads, strict=True):
+        fr = fr + by_speeds.T @ load
     if rates.generalized is not None:
         fr = fr + rates.generalized
     energy = _energy(system, partials, u)
-    return KaneEquations(M, fr - inertia_force, fr, q_dot, energy)
+    return KaneEquations(masses, fr - inertia_force, fr, q_dot, energy)
 
 
-def _energy(system: KaneSystem, partials: Partials, u) -> Float[Array, ""]:
+def _energy(
+    system: KaneSystem, partials: Partials, u: Float[Array, " m"]
+) -> Float[Array, ""]:
     """Kinetic energy [J]."""
     twice = jnp.zeros((), u.dtype)
     turnings = iter(partials.at("turnings", u))
@@ -348,31 +385,3 @@ def _energy(system: KaneSystem, partials: Partials, u) -> Float[Array, ""]:
 
 def _turning(system: KaneSystem) -> list[RigidBody]:
     return [part for part in system.parts if isinstance(part, RigidBody)]
-
-
-def _solve(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"]:
-    """A symmetric positive definite system, unrolled where it is small."""
-    size = rhs.shape[0]
-    if size <= _UNROLLED:
-        rows = [components(M[i, : i + 1]) for i in range(size)]
-        return jnp.stack(solve_spd(rows, components(rhs)))
-    operator = lx.MatrixLinearOperator(M, lx.positive_semidefinite_tag)
-    return lx.linear_solve(operator, rhs, lx.Cholesky(), throw=False).value
-
-
-def _inverse(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
-    """Inverse; NaN where the constraints do not determine the dependent speeds."""
-    size = C.shape[0]
-    scale = jnp.prod(jnp.sqrt(jnp.sum(C * C, axis=1)))
-    if size <= 3:  # by cofactors: 0.03 us, a call to LAPACK takes 1.7
-        a = jnp.zeros((3, 3), C.dtype).at[:size, :size].set(C)
-        a = a + jnp.diag(jnp.asarray([0.0] * size + [1.0] * (3 - size), C.dtype))
-        cofactors = jnp.stack([cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])])
-        det = jnp.sum(a[0] * cofactors[0])
-        inverse = cofactors.T[:size, :size] / det
-    else:
-        # needs row exchanges: 1.1 us for four, 1.4 us for six by LAPACK, one call
-        LU, swaps = jax.scipy.linalg.lu_factor(C)
-        det = jnp.prod(jnp.diagonal(jax.lax.stop_gradient(LU)))
-        inverse = jax.scipy.linalg.lu_solve((LU, swaps), jnp.eye(size, dtype=C.dtype))
-    return jnp.where(jnp.abs(det) > SINGULAR * scale, inverse, jnp.nan)

@@ -1,6 +1,7 @@
 """Systems that are ready: a free body, a bar on a frame, Kane's babyboot, a disc."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,11 @@ from jaxtyping import Array, Float
 from ..geometry.rotations import about_axis
 from ..geometry.small_linear import cross
 from ..validation.checks import FieldError
-from .system import KaneState, KaneSystem, Load, RigidBody
+from .system import KaneState, KaneSystem, Load, Motion, Numbers, RigidBody
+
+# A parameter: a number, or an array without axes.
+Number: TypeAlias = float | Array
+_Vector: TypeAlias = Callable[[Array, Array, Array], Array]
 
 
 def euler_parameters_to_rotation(e: Float[Array, "4"]) -> Float[Array, "3 3"]:
@@ -43,7 +48,10 @@ def euler_parameters_to_rotation(e: Float[Array, "4"]) -> Float[Array, "3 3"]:
 
 
 def free_rigid_body(
-    mass, inertia, force: Callable | None = None, torque: Callable | None = None
+    mass: Number,
+    inertia: Numbers,
+    force: Motion | None = None,
+    torque: Motion | None = None,
 ) -> KaneSystem:
     """A free rigid body: 13 first-order equations.
 
@@ -59,13 +67,14 @@ def free_rigid_body(
     Source: [B], example 1, (1) to (3).
     """
 
-    def kinematics(t, q, u):
+    def kinematics(t: Array, q: Array, u: Array) -> Array:
         R = euler_parameters_to_rotation(q[3:])
         e, s, w = q[3:6], q[6], u[3:]
         turned = 0.5 * (s * w + cross(e, w))
         return jnp.concatenate([R @ u[:3], turned, -0.5 * jnp.sum(e * w)[None]])
 
-    velocity, spin = (lambda t, q, u: u[:3]), (lambda t, q, u: u[3:])
+    velocity: _Vector = lambda t, q, u: u[:3]
+    spin: _Vector = lambda t, q, u: u[3:]
     loads = [] if force is None else [Load(velocity, force)]
     loads += [] if torque is None else [Load(spin, torque)]
     part = RigidBody(mass, inertia, velocity, spin, own_axes=True)
@@ -73,7 +82,11 @@ def free_rigid_body(
 
 
 def bar_on_frame(
-    mass, length, distance, frame_torque: Callable, bar_torque: Callable
+    mass: Number,
+    length: Number,
+    distance: Number,
+    frame_torque: Motion,
+    bar_torque: Motion,
 ) -> KaneSystem:
     """A bar hinged on a massless frame that turns about the vertical, with two motors.
 
@@ -91,38 +104,40 @@ def bar_on_frame(
     """
     moment = mass * length**2 / 12.0
 
-    def velocity(t, q, u):
+    def velocity(t: Array, q: Array, u: Array) -> Array:
         return u[0] * jnp.stack([-jnp.sin(q[0]), jnp.cos(q[0]), 0.0 * q[0]])
 
-    def bar_spin(t, q, u):
+    def bar_spin(t: Array, q: Array, u: Array) -> Array:
         turn = u[0] / distance
         return jnp.stack([-turn * jnp.sin(q[1]), u[1], turn * jnp.cos(q[1])])
 
-    def frame_spin(t, q, u):
+    def frame_spin(t: Array, q: Array, u: Array) -> Array:
         return jnp.stack([0.0 * u[0], 0.0 * u[0], u[0] / distance])
 
-    def on_bar(t, q, u):
+    def on_bar(t: Array, q: Array, u: Array) -> Array:
         return bar_torque(t, q, u) * jnp.array([0.0, 1.0, 0.0])
 
-    def on_frame(t, q, u):  # n2 of the frame is e2 of the bar; k has no share of it
+    def on_frame(
+        t: Array, q: Array, u: Array
+    ) -> Array:  # n2 of the frame is e2 of the bar; k has no share of it
         return frame_torque(t, q, u) * jnp.array([0.0, 0.0, 1.0]) - on_bar(t, q, u)
 
     part = RigidBody(
         mass, jnp.diag(jnp.array([0.0, 1.0, 1.0])) * moment, velocity, bar_spin
     )
     loads = [Load(bar_spin, on_bar), Load(frame_spin, on_frame)]
-    kinematics = lambda t, q, u: jnp.stack([u[0] / distance, u[1]])
+    kinematics: _Vector = lambda t, q, u: jnp.stack([u[0] / distance, u[1]])
     return KaneSystem(2, 2, kinematics, [part], loads)
 
 
 def babyboot(
-    rod_mass=0.01,
-    plate_mass=0.1,
-    rod_length=0.075,
-    plate_length=0.2,
-    rod_moment=5e-6,
-    plate_moments=(2.5e-4, 5e-5, 2e-4),
-    gravity=9.81,
+    rod_mass: Number = 0.01,
+    plate_mass: Number = 0.1,
+    rod_length: Number = 0.075,
+    plate_length: Number = 0.2,
+    rod_moment: Number = 5e-6,
+    plate_moments: Sequence[float] | Array | np.ndarray = (2.5e-4, 5e-5, 2e-4),
+    gravity: Number = 9.81,
 ) -> KaneSystem:
     """Kane's babyboot: a plate that turns about a swinging rod; chaotic.
 
@@ -138,35 +153,40 @@ def babyboot(
         gravity: [m/s^2].
     """
 
-    def at(length):
-        def velocity(t, q, u):
+    def at(length: Number) -> _Vector:
+        def velocity(t: Array, q: Array, u: Array) -> Array:
             along = jnp.stack([0.0 * q[0], jnp.cos(q[0]), jnp.sin(q[0])])
             return length * u[0] * along
 
         return velocity
 
-    def weight(mass):
+    def weight(mass: Number) -> _Vector:
         return lambda t, q, u: mass * gravity * jnp.array([0.0, 0.0, -1.0])
 
-    rod_spin = lambda t, q, u: jnp.stack([u[0], 0.0 * u[0], 0.0 * u[0]])
+    rod_spin: _Vector = lambda t, q, u: jnp.stack([u[0], 0.0 * u[0], 0.0 * u[0]])
 
-    def plate_spin(t, q, u):
+    def plate_spin(t: Array, q: Array, u: Array) -> Array:
         return jnp.stack([u[0] * jnp.cos(q[1]), -u[0] * jnp.sin(q[1]), u[1]])
 
+    rates: _Vector = lambda t, q, u: u
     rod, plate = at(rod_length), at(plate_length)
     parts = [
         RigidBody(rod_mass, rod_moment * np.eye(3), rod, rod_spin),
         RigidBody(plate_mass, np.diag(plate_moments), plate, plate_spin),
     ]
     loads = [Load(rod, weight(rod_mass)), Load(plate, weight(plate_mass))]
-    return KaneSystem(2, 2, lambda t, q, u: u, parts, loads)
+    return KaneSystem(2, 2, rates, parts, loads)
 
 
 DISC_SPEEDS = ("coordinate rates", "lean axes", "body axes")
 
 
 def rolling_disc(
-    mass, radius, moments, speeds: str = "coordinate rates", gravity=9.81
+    mass: Number,
+    radius: Number,
+    moments: Sequence[float] | Array | np.ndarray,
+    speeds: str = "coordinate rates",
+    gravity: Number = 9.81,
 ) -> KaneSystem:
     """A thin disc that rolls on a plane, by one of three choices of speeds.
 
@@ -191,7 +211,7 @@ def rolling_disc(
     _known_speeds("rolling_disc.speeds", speeds)
     across, along = moments
 
-    def rates(q, u):
+    def rates(q: Array, u: Array) -> Array:
         """Heading', lean', spin'; singular where the disc lies flat."""
         if speeds == "coordinate rates":
             return u
@@ -199,31 +219,35 @@ def rolling_disc(
         heading = radial / jnp.cos(q[3])
         return jnp.stack([heading, path, axle - heading * jnp.sin(q[3])])
 
-    def on_lean_axes(q, u):
+    def on_lean_axes(q: Array, u: Array) -> Array:
         if speeds == "body axes":
             return about_axis(1, q[4]) @ u
         return u if speeds == "lean axes" else _on_lean_axes(q, u)
 
-    def kinematics(t, q, u):
+    def kinematics(t: Array, q: Array, u: Array) -> Array:
         turned = rates(q, u)
         path = radius * turned[2] * jnp.stack([jnp.cos(q[2]), jnp.sin(q[2])])
         return jnp.concatenate([path, turned])
 
-    def spin(t, q, u):
+    def spin(t: Array, q: Array, u: Array) -> Array:
         return about_axis(1, q[4]).T @ on_lean_axes(q, u)
 
-    def velocity(t, q, u):
+    def velocity(t: Array, q: Array, u: Array) -> Array:
         w = on_lean_axes(q, u)
         to_fixed = about_axis(2, q[2]) @ about_axis(0, q[3])
         return to_fixed @ (radius * jnp.stack([w[1], -w[0], 0.0 * w[2]]))
 
     inertia = np.diag([across, along, across])
-    weight = lambda t, q, u: mass * gravity * jnp.array([0.0, 0.0, -1.0])
+    weight: _Vector = lambda t, q, u: mass * gravity * jnp.array([0.0, 0.0, -1.0])
     part = RigidBody(mass, inertia, velocity, spin)
     return KaneSystem(5, 3, kinematics, [part], [Load(velocity, weight)])
 
 
-def disc_state(q, rates, speeds: str = "coordinate rates") -> KaneState:
+def disc_state(
+    q: Numbers,
+    rates: Numbers,
+    speeds: str = "coordinate rates",
+) -> KaneState:
     """A state of ``rolling_disc`` from its coordinates and their rates.
 
     Args:
@@ -243,7 +267,7 @@ def disc_state(q, rates, speeds: str = "coordinate rates") -> KaneState:
     return KaneState(q, u)
 
 
-def _on_lean_axes(q, rates) -> Float[Array, "3"]:
+def _on_lean_axes(q: Float[Array, "5"], rates: Float[Array, "3"]) -> Float[Array, "3"]:
     heading, lean, spin = rates
     along = heading * jnp.sin(q[3])
     return jnp.stack([lean, spin + along, heading * jnp.cos(q[3])])

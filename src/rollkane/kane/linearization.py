@@ -1,21 +1,25 @@
 """Small motions about a state: dense matrices by automatic differentiation."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
-from .equations import reduced
-from .singular_states import examined, refuse
+from .equations import Reduced, reduced
+from .singular_states import Examined, examined, refuse
 from .system import KaneState, KaneSystem
+
+# By places and inputs; the rates themselves, and the equations that they come from.
+_Derivatives: TypeAlias = tuple[tuple[Array, Array], tuple[Array, Reduced]]
 
 
 class Linearization(NamedTuple):
@@ -36,11 +40,11 @@ class Linearization(NamedTuple):
 
 def linearize(
     system: KaneSystem,
-    t,
+    t: ArrayLike,
     state: KaneState,
-    q_ind=None,
-    u_ind=None,
-    inputs: Callable | None = None,
+    q_ind: Iterable[int] | None = None,
+    u_ind: Iterable[int] | None = None,
+    inputs: Callable[[Any], Any] | None = None,
 ) -> Linearization:
     """Linearize a system about a state.
 
@@ -68,7 +72,8 @@ def linearize(
     """
     known = not is_traced(system, t, state)
     # by JAX a known time could be traced
-    t = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
+    when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
+    t = cast(Array, when)
     free = _chosen("q_ind", q_ind, system.independent_coordinates)
     moving = _chosen("u_ind", u_ind, system.independent)
     if inputs is not None and system.parameters is None:
@@ -85,32 +90,47 @@ def linearize(
 
 
 @for_one_call
-def _linearized(system: KaneSystem, t, state: KaneState, free, moving, inputs, known):
+def _linearized(
+    system: KaneSystem,
+    t: Array,
+    state: KaneState,
+    free: tuple[int, ...],
+    moving: tuple[int, ...],
+    inputs: Callable[[Any], Any] | None,
+    known: bool,
+) -> tuple[Linearization, Examined | None]:
     n = len(free)
-    free = np.asarray(free, int)
+    columns = np.asarray(free, int)
     places = np.asarray([system.independent.index(k) for k in moving], int)
-    where = lambda system: () if inputs is None else inputs(system.parameters)
+
+    def where(system: KaneSystem) -> Any:
+        return () if inputs is None else inputs(system.parameters)
+
     r, unravel = ravel_pytree(where(system))
     r = r.astype(state.q.dtype)  # of nothing: single precision
     x = jnp.zeros(n + places.shape[0], r.dtype)
 
-    def rates(x, r):
-        shift = jnp.zeros_like(state.q).at[free].set(x[:n])
+    def rates(x: Array, r: Array) -> tuple[Array, tuple[Array, Reduced]]:
+        shift = jnp.zeros_like(state.q).at[columns].set(x[:n])
         q = state.q + _followed(system, t, state.q, shift)
         u = state.u.at[places].add(x[n:])
         changed = eqx.tree_at(where, system, unravel(r)) if inputs else system
         equations = reduced(changed, t, KaneState(q, u))
         dot = equations.rates()
-        value = jnp.concatenate([dot.q[free], dot.u[places]])
+        value = jnp.concatenate([dot.q[columns], dot.u[places]])
         return value, (value, equations)
 
-    derivatives = jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, r)
+    derivatives = cast(
+        _Derivatives, jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, r)
+    )
     (A, B), (f, equations) = derivatives
     seen = examined(system, t, state, equations) if known else None
     return Linearization(A, B, f), seen
 
 
-def _chosen(name: str, numbers, independent: tuple[int, ...]) -> tuple[int, ...]:
+def _chosen(
+    name: str, numbers: Iterable[int] | None, independent: tuple[int, ...]
+) -> tuple[int, ...]:
     chosen = independent if numbers is None else tuple(numbers)
     if not set(chosen) <= set(independent):
         raise FieldError(
@@ -122,13 +142,19 @@ def _chosen(name: str, numbers, independent: tuple[int, ...]) -> tuple[int, ...]
     return chosen
 
 
-def _followed(system: KaneSystem, t, q, shift) -> Float[Array, " n"]:
+def _followed(
+    system: KaneSystem, t: Array, q: Float[Array, " n"], shift: Float[Array, " n"]
+) -> Float[Array, " n"]:
     """A shift of the independent coordinates, and of the dependent ones with it."""
     configuration = system.configuration
     if configuration is None:
         return shift
     bound = jnp.asarray(system.dependent_coordinates, int)
     rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
-    F = jax.jacfwd(lambda q: system.at(configuration, t, q, rest))(q)
+
+    def held(q: Array) -> Array:
+        return system.at(configuration, t, q, rest)
+
+    F = cast(Array, jax.jacfwd(held)(q))
     # once for each linear model, not for each step
     return shift.at[bound].set(-jnp.linalg.solve(F[:, bound], F @ shift))

@@ -95,12 +95,12 @@ def simulate(
     *,
     rtol: float | None = None,
     atol: float | None = None,
-    solver: dfx.AbstractSolver | None = None,
-    stepsize_controller: dfx.AbstractStepSizeController | None = None,
+    solver: dfx.AbstractSolver[Any] | None = None,
+    stepsize_controller: dfx.AbstractStepSizeController[Any, Any] | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
     dt0: float | None = None,
     max_steps: int | None = None,
-    progress_meter: dfx.AbstractProgressMeter | None = None,
+    progress_meter: dfx.AbstractProgressMeter[Any] | None = None,
     method: str = "auto",
 ) -> KaneTrajectory:
     """Motion of a system from a start, at the asked times.
@@ -177,7 +177,10 @@ def simulate(
 
 
 def _sizes(state: KaneState) -> KaneState:
-    return jax.tree.map(jnp.ones_like, state)
+    def one(x: Array) -> Array:
+        return jnp.ones_like(x)
+
+    return jax.tree.map(one, state)
 
 
 def _quickness(state: KaneState) -> Float[Array, " m"]:
@@ -192,7 +195,7 @@ def _corners(system: KaneSystem) -> tuple[None, bool]:
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners)
 
 
-def _checked_start(system: KaneSystem, start: KaneState) -> KaneState:
+def _checked_start(system: KaneSystem, start: object) -> KaneState:
     if not isinstance(start, KaneState):
         raise FieldError(
             "simulate.start", start, "must be a KaneState", "give KaneState(q, u)"

@@ -5,11 +5,11 @@ are carried: velocities of mass centres are written down, Kane's method does the
 """
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..dynamics.loads import AbstractLoad
 from ..dynamics.mass_matrix import field_of, generalized_force, shares
@@ -21,6 +21,11 @@ from ..kinematics.contact import Contact
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
 from .system import KaneState, KaneSystem, Load, Particle, RigidBody
+
+_Time: TypeAlias = Float[Array, ""]
+_Q: TypeAlias = Float[Array, " n"]
+_U: TypeAlias = Float[Array, " m"]
+_Vector: TypeAlias = Float[Array, "3"]
 
 
 def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSystem:
@@ -82,7 +87,7 @@ def _places(state: State) -> State:
     return dataclasses.replace(state, angular_velocity=none, alpha_dot=none)
 
 
-def _carried(scene: Scene, t, state: State) -> list[Carried]:
+def _carried(scene: Scene, t: _Time, state: State) -> list[Carried]:
     """Every carried part."""
     listed = shares(scene.supported, state.alpha, state.alpha_dot)
     return [part.carried(t, *moved) for part, *moved in listed]
@@ -110,7 +115,7 @@ class _Shared(eqx.Module):
     places: State
     reactions: bool = eqx.field(static=True)
 
-    def __call__(self, t, q, u, scene: Scene) -> _Instant:
+    def __call__(self, t: _Time, q: _Q, u: _U, scene: Scene) -> _Instant:
         end = 3 + scene.coordinate_count
         state = dataclasses.replace(
             unpack(q, self.places), angular_velocity=u[:3], alpha_dot=u[3:end]
@@ -124,25 +129,27 @@ class _Shared(eqx.Module):
         return _Instant(scene, state, contact, v, _carried(scene, t, state))
 
 
-def _kinematics(t, q, u, now: _Instant):
+def _kinematics(t: _Time, q: _Q, u: _U, now: _Instant) -> _Q:
     rest = jnp.zeros_like(now.state.angular_velocity)
     rates = now.state.rates(now.contact, rest, jnp.zeros_like(now.state.alpha_dot))
     return pack(_places(rates))
 
 
-def _spin(t, q, u, now: _Instant):
+def _spin(t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
     return u[:3]
 
 
-def _of_contact(t, q, u, now: _Instant):
+def _of_contact(t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
     return now.at_contact
 
 
-def _of_body(t, q, u, now: _Instant):
+def _of_body(t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
     return _of_point(u, now, now.scene.body.center_of_mass)
 
 
-def _of_point(u, now: _Instant, place, velocity=None):
+def _of_point(
+    u: _U, now: _Instant, place: _Vector, velocity: _Vector | None = None
+) -> _Vector:
     """Velocity of a point of the body, or one that moves in it, fixed axes."""
     v = cross(u[:3], place - now.contact.body_point)
     v = v if velocity is None else v + velocity
@@ -164,7 +171,7 @@ class _OfCarried(eqx.Module):
     k: int = eqx.field(static=True)
     i: int = eqx.field(static=True)
 
-    def __call__(self, t, q, u, now: _Instant):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         carried = now.carried[self.k]
         return _of_point(u, now, carried.place[:, self.i], carried.velocity[:, self.i])
 
@@ -174,14 +181,14 @@ class _CarriedSpin(eqx.Module):
 
     k: int = eqx.field(static=True)
 
-    def __call__(self, t, q, u, now: _Instant):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         turning: Any = now.carried[self.k].turning
         return turning.rotation.T @ (u[:3] + turning.velocity)
 
 
-def _loads(scene: Scene, parts) -> list[Load]:
+def _loads(scene: Scene, parts: list[Any]) -> list[Load]:
     """Fields on every part, wrenches on the body at the contact point."""
-    found = []
+    found: list[Load] = []
     if field_of(scene.loads) is not None:
         found += [Load(part.velocity, _Weight(part.mass)) for part in parts]
     for k, load in enumerate(scene.loads):
@@ -195,7 +202,7 @@ class _Weight(eqx.Module):
 
     mass: Array
 
-    def __call__(self, t, q, u, now: _Instant):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         field: Any = field_of(now.scene.loads)
         return self.mass * field
 
@@ -205,7 +212,7 @@ class _Force(eqx.Module):
 
     k: int = eqx.field(static=True)
 
-    def __call__(self, t, q, u, now: _Instant):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         return now.contact.rotation @ _wrench(t, now, self.k)[0]
 
 
@@ -214,15 +221,17 @@ class _Moment(eqx.Module):
 
     k: int = eqx.field(static=True)
 
-    def __call__(self, t, q, u, now: _Instant):
+    def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         return _wrench(t, now, self.k)[1]
 
 
-def _wrench(t, now: _Instant, k: int) -> Any:
-    return now.scene.loads[k].wrench(t, now.scene.body, now.contact)
+def _wrench(t: _Time, now: _Instant, k: int) -> tuple[_Vector, _Vector]:
+    # _loads asks for those that have one
+    wrench = now.scene.loads[k].wrench(t, now.scene.body, now.contact)
+    return cast("tuple[_Vector, _Vector]", wrench)
 
 
-def _springs(t, q, u, now: _Instant):
+def _springs(t: _Time, q: _Q, u: _U, now: _Instant) -> _U:
     """``Q_s`` of the coordinates; nothing for the body and the reactions."""
     scene, state = now.scene, now.state
     forces = [jnp.zeros(3, q.dtype)]

@@ -1,6 +1,6 @@
 """States at which a system's equations do not determine its motion, refused clearly."""
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,7 +10,8 @@ from ..integration.integrate import tolerances
 from ..validation.checks import FieldError, is_traced
 from .affinity import Samples, refuse_curved, sampled
 from .configuration import Held, held, refuse_bound, refuse_free, refuse_violated
-from .equations import SINGULAR, Reduced, reduced
+from .equations import Reduced, reduced
+from .linear_solves import SINGULAR
 from .system import KaneState, KaneSystem
 
 
@@ -32,7 +33,12 @@ class Examined(NamedTuple):
     held: Held | None
 
 
-def refuse_start(system: KaneSystem, t, state: KaneState, rtol=None) -> None:
+def refuse_start(
+    system: KaneSystem,
+    t: float | Array | np.ndarray,
+    state: KaneState,
+    rtol: float | Array | None = None,
+) -> None:
     """Refuse a start from which the equations do not determine the motion, and say why.
 
     Args:
@@ -47,15 +53,17 @@ def refuse_start(system: KaneSystem, t, state: KaneState, rtol=None) -> None:
     """
     if not is_traced(system, t, state):
         known = np.asarray(t, np.asarray(state.q).dtype)  # by JAX it could be traced
-        refuse(system, t, state, _examined(system, known, state), rtol)
+        refuse(system, t, state, _examined(system, cast(Array, known), state), rtol)
 
 
 @for_one_call
-def _examined(system: KaneSystem, t, state: KaneState) -> Examined:
+def _examined(system: KaneSystem, t: Array, state: KaneState) -> Examined:
     return examined(system, t, state, reduced(system, t, state))
 
 
-def examined(system: KaneSystem, t, state: KaneState, equations: Reduced) -> Examined:
+def examined(
+    system: KaneSystem, t: Array, state: KaneState, equations: Reduced
+) -> Examined:
     """What ``refuse`` looks at.
 
     Args:
@@ -76,10 +84,10 @@ def examined(system: KaneSystem, t, state: KaneState, equations: Reduced) -> Exa
 @np.errstate(all="ignore")  # numbers that are not finite are asked for
 def refuse(
     system: KaneSystem,
-    t,
+    t: float | Array | np.ndarray,
     state: KaneState,
     found: Examined,
-    rtol=None,
+    rtol: float | Array | None = None,
     eliminated: bool = False,
 ) -> None:
     """Refuse equations that do not determine the motion, and say why.

@@ -6,17 +6,25 @@ list of numbers. Velocities are affine in the
 speeds; nothing is derived by hand, partial velocities and accelerations are theirs.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.bodies import checked_inertia
 from ..validation.checks import FieldError, positive
 from ..validation.user_functions import GivenFunction, as_floats
+
+# What a user gives for numbers: one, an array, sequences of them.
+Numbers: TypeAlias = ArrayLike | Sequence[Any]
+# A function of the user's of (t, q, u), and of the parameters if it takes them.
+Motion: TypeAlias = Callable[..., Any]
+# Wraps one: its field for errors, the function, the shape of its value.
+_Wrap: TypeAlias = Callable[[str, Any, tuple[int, ...]], GivenFunction]
 
 
 class Particle(eqx.Module):
@@ -107,17 +115,17 @@ class KaneSystem(eqx.Module):
         self,
         coordinates: int,
         speeds: int,
-        kinematics: Callable,
-        parts=(),
-        loads=(),
-        constraints: Callable | None = None,
-        dependent=(),
-        configuration: Callable | None = None,
-        dependent_coordinates=(),
+        kinematics: Motion,
+        parts: Iterable[Particle | RigidBody] = (),
+        loads: Iterable[Load] = (),
+        constraints: Motion | None = None,
+        dependent: Iterable[int] = (),
+        configuration: Motion | None = None,
+        dependent_coordinates: Iterable[int] = (),
         auxiliary: int = 0,
-        generalized_forces: Callable | None = None,
+        generalized_forces: Motion | None = None,
         parameters: Any = None,
-        shared: Callable | None = None,
+        shared: Motion | None = None,
     ):
         """Make a system.
 
@@ -162,9 +170,9 @@ class KaneSystem(eqx.Module):
             self.shared = GivenFunction(
                 "KaneSystem.shared", shared, None, example, more, "(t, q, u)"
             )
-            more = eqx.filter_eval_shape(self.shared, *example, more)
+            more = cast(Any, eqx.filter_eval_shape(self.shared, *example, more))
 
-        def motion(field, function, shape):
+        def motion(field: str, function: Any, shape: tuple[int, ...]) -> GivenFunction:
             return GivenFunction(field, function, shape, example, more, "(t, q, u)")
 
         field = "KaneSystem.kinematics"
@@ -199,13 +207,13 @@ class KaneSystem(eqx.Module):
         )
         _refuse_speeds(self, configuration, *example)
 
-    def more(self, t, q, u) -> Any:
+    def more(self, t: Array, q: Array, u: Array) -> Any:
         """What the functions get behind (t, q, u)."""
         if self.shared is None:
             return self.parameters
         return self.shared(t, q, u, self.parameters)
 
-    def at(self, function: GivenFunction, t, q, u) -> Array:
+    def at(self, function: GivenFunction, t: Array, q: Array, u: Array) -> Array:
         """The value of one of its functions."""
         return function(t, q, u, self.more(t, q, u))
 
@@ -233,7 +241,7 @@ class KaneState(eqx.Module):
     u: Float[Array, " m"]
 
 
-def _checked_part(field: str, part, motion) -> Particle | RigidBody:
+def _checked_part(field: str, part: object, motion: _Wrap) -> Particle | RigidBody:
     if not isinstance(part, (Particle, RigidBody)):
         raise FieldError(
             field, part, "is no part of a system", "give Particle or RigidBody"
@@ -247,7 +255,7 @@ def _checked_part(field: str, part, motion) -> Particle | RigidBody:
     return RigidBody(mass, inertia, velocity, turning, part.own_axes)
 
 
-def _checked_load(field: str, load, motion) -> Load:
+def _checked_load(field: str, load: object, motion: _Wrap) -> Load:
     if not isinstance(load, Load):
         raise FieldError(
             field, load, "is no load", "give Load(velocity, force) or Load(w, torque)"
@@ -258,7 +266,7 @@ def _checked_load(field: str, load, motion) -> Load:
     )
 
 
-def _chosen(name: str, numbers, count: int) -> tuple[int, ...]:
+def _chosen(name: str, numbers: Iterable[int], count: int) -> tuple[int, ...]:
     """Different numbers of speeds or coordinates."""
     chosen = tuple(int(k) for k in numbers)
     if len(set(chosen)) != len(chosen) or not all(0 <= k < count for k in chosen):
@@ -271,7 +279,13 @@ def _chosen(name: str, numbers, count: int) -> tuple[int, ...]:
     return chosen
 
 
-def _bound(motion, name: str, function, of: str, chosen) -> GivenFunction | None:
+def _bound(
+    motion: _Wrap,
+    name: str,
+    function: Motion | None,
+    of: str,
+    chosen: tuple[int, ...],
+) -> GivenFunction | None:
     """Constraints, one for each number that they determine."""
     if function is None and chosen:
         raise FieldError(
@@ -285,7 +299,9 @@ def _bound(motion, name: str, function, of: str, chosen) -> GivenFunction | None
     return motion(f"KaneSystem.{name}", function, (len(chosen),))
 
 
-def _refuse_speeds(system: KaneSystem, given: Any, t, q, u) -> None:
+def _refuse_speeds(
+    system: KaneSystem, given: Any, t: Array, q: Array, u: Array
+) -> None:
     """Refuse a configuration that looks at the speeds, whatever their numbers are."""
     wrapped = system.configuration
     if wrapped is None:
@@ -309,24 +325,27 @@ def _refuse_speeds(system: KaneSystem, given: Any, t, q, u) -> None:
         )
 
 
-def _depends(function: Callable, argument: Array) -> bool:
+def _depends(function: Callable[[Array], Any], argument: Array) -> bool:
     """Whether a value is computed from an argument, found by tracing.
 
     A map over the argument knows what it maps: in a program that holds others, too, and
     where a derivative would vanish by chance.
     """
-    mapped = []
+    mapped: list[bool] = []
 
     @jax.custom_batching.custom_vmap
-    def seen(value):
+    def seen(value: Any) -> Any:
         return value
 
     @seen.def_vmap
-    def _(size, batched, value):
+    def _(size: int, batched: list[bool], value: Any) -> tuple[Any, bool]:
         del size
         mapped.append(batched[0])
         return value, batched[0]
 
+    def looked_at(x: Array) -> Any:
+        return seen(function(x))
+
     some = jax.ShapeDtypeStruct((2, *argument.shape), argument.dtype)
-    jax.eval_shape(jax.vmap(lambda x: seen(function(x))), some)
+    jax.eval_shape(jax.vmap(looked_at), some)
     return any(mapped)

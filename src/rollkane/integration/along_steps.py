@@ -1,0 +1,58 @@
+"""Derivatives of a plain run along its steps, which are replayed."""
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..codegen.tableau import weights_of
+from . import replay
+from .differentiate import InputsOf, Pull, Push
+from .recorded_steps import Steps
+from .replay import Run
+from .solve import Plan, Rates, Record, Solution, landings_of
+
+
+def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
+    """Derivatives of a plain run along its steps; see :func:`differentiable`."""
+    weights = weights_of(plan.solver, "a run")
+
+    def run_of(
+        inputs_of: InputsOf, varied: list[Array], record: Record
+    ) -> tuple[Run, Steps]:
+        def along(t: Array, y: Array, *varied: Array) -> Array:
+            return rates(t, y, inputs_of(varied)[0])
+
+        def start(*varied: Array) -> Array:
+            return inputs_of(varied)[1]
+
+        model, _, times, *_ = inputs_of(varied)
+        begun, count, kept = record
+        jumps = landings_of(model, times, plan).jumps
+        steps = Steps.of(begun, count, kept, times, jumps)
+        return Run(along, start, varied, weights), steps
+
+    def push(
+        inputs_of: InputsOf,
+        varied: list[Array],
+        record: Record,
+        tangents: list[Array],
+        once: bool,
+    ) -> list[Array]:
+        run, steps = run_of(inputs_of, varied, record)
+        behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
+        y, final_y = (
+            jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
+        )
+        time = jnp.zeros(y.shape[:2], y.dtype)
+        return [time, y, time[:, 0], final_y]  # as in Solution
+
+    def pull(
+        inputs_of: InputsOf,
+        varied: list[Array],
+        record: Record,
+        cotangents: Solution,
+        once: bool,
+    ) -> list[Array]:
+        run, steps = run_of(inputs_of, varied, record)
+        return replay.pull(run, steps, cotangents.y, cotangents.final_y, once)
+
+    return push, pull
