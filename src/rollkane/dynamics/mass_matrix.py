@@ -15,9 +15,10 @@ from ..geometry.small_linear import components, cross, dot, matvec, matvec_trans
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
+from .carried import Carried
 from .loads import AbstractLoad
 from .scene import Scene
-from .supported import AbstractSupported, Carried, total
+from .supported import AbstractSupported, total
 
 # products of more coordinates are one product of matrices: they would take minutes to
 # compile one by one
