@@ -7,7 +7,7 @@ there the mode changes. Derivatives are those of the recorded steps, replayed.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias
 
 import diffrax as dfx
 import equinox as eqx
@@ -110,16 +110,13 @@ def integrate_modes(
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
     inputs = scene, start, stops.time, rtol, atol, spoilt
     unknown: Callable[[HybridOutcome], HybridOutcome] = lambda s: s.unknown
-    found = cast(
-        HybridOutcome,
-        differentiable(
-            runs.solve,
-            inputs,
-            push=runs.push if native else None,
-            pull=runs.pull,
-            twice=_refuse_twice,
-            unknown=unknown,
-        ),
+    found: HybridOutcome = differentiable(
+        runs.solve,
+        inputs,
+        push=runs.push if native else None,
+        pull=runs.pull,
+        twice=_refuse_twice,
+        unknown=unknown,
     )
     state = found.state
     if stops.last is not None:
