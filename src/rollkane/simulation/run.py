@@ -38,13 +38,13 @@ from ..integration.integrate import (
 from ..integration.projection import KeepingEnergy, check_keeps_energy
 from ..integration.solve import UNRECORDED_STEPS
 from ..integration.step_control import Stops, stops_of
-from ..kinematics.coordinates import FlyingState, SlidingState, State, pack
+from ..kinematics.coordinates import State, pack
 from ..kinematics.voronets import AnyState, VoronetsState
 from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
-from .run_checks import check_law, check_span, check_start
+from .run_checks import check_law, check_modes, check_span, check_start
 from .trajectory import Trajectory
 
 # what the loop in C does not have
@@ -212,16 +212,7 @@ def _simulate_modes(
     method: str,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
-    if not isinstance(modes, Modes):
-        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
-    known = State, SlidingState, FlyingState
-    if not isinstance(start, known):
-        remedy = "make it with rollkane.place or rollkane.release"
-        raise FieldError("simulate.start", start, "must be a State", remedy)
-    if isinstance(start, SlidingState) and modes.friction is None:
-        raise FieldError(
-            "Modes.friction", None, "is missing for a start that slips", "give it"
-        )
+    check_modes(start, modes)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)

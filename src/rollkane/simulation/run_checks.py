@@ -6,7 +6,8 @@ import numpy as np
 
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
-from ..kinematics.coordinates import State
+from ..hybrid.modes import Modes
+from ..kinematics.coordinates import FlyingState, SlidingState, State
 from ..kinematics.voronets import VoronetsState
 from ..validation.checks import FieldError, is_traced
 
@@ -25,6 +26,20 @@ def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
                 "has rolling without slipping only, and no dry resistance",
                 f'use "{general}", or Rolling() without dry resistance',
             )
+
+
+def check_modes(start: object, modes: object) -> None:
+    """Refuse modes, or a start, that no run through changes can have."""
+    if not isinstance(modes, Modes):
+        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
+    known = State, SlidingState, FlyingState
+    if not isinstance(start, known):
+        remedy = "make it with rollkane.place or rollkane.release"
+        raise FieldError("simulate.start", start, "must be a State", remedy)
+    if isinstance(start, SlidingState) and modes.friction is None:
+        raise FieldError(
+            "Modes.friction", None, "is missing for a start that slips", "give it"
+        )
 
 
 def check_start(scene: Scene, start: object) -> None:
