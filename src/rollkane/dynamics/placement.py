@@ -327,8 +327,8 @@ def _opening(
     opening = (-travels[:, :2] @ free[:2]).T @ (turns @ free)
     largest = jnp.max(jnp.abs(opening))
     least = cast(Array, jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0])
-    curving = cast(Array, jnp.linalg.det(system))
-    return least / jnp.where(largest > 0, largest, 1.0), curving
+    opening = least / jnp.where(largest > 0, largest, 1.0)
+    return opening, cast(Array, jnp.linalg.det(system))
 
 
 def _size(matrix: Array) -> Array:
