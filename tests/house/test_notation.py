@@ -6,8 +6,8 @@ from pathlib import Path
 
 import rollkane as rk
 from rollkane.dynamics import bodies, contact_laws
+from rollkane.dynamics.carried import Carried, Turning
 from rollkane.dynamics.mass_matrix import System
-from rollkane.dynamics.supported import Carried, Turning
 from rollkane.kinematics import contact
 from rollkane.kinematics.base_motion import BaseKinematics
 from rollkane.kinematics.voronets import ChartContact

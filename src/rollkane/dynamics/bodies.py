@@ -1,15 +1,24 @@
 """The rolling body: its mass, its inertia and its surface."""
 
 import warnings
+from collections.abc import Sequence
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot
 from ..geometry.surfaces import AbstractSurface
 from ..validation.checks import FieldError, is_traced, positive, real, refuse
+
+# What a user writes for three numbers, and for three rows of them.
+Vector: TypeAlias = ArrayLike | Sequence[ArrayLike]
+Matrix: TypeAlias = ArrayLike | Sequence[Vector]
+# Numbers whose values are looked at: an array of NumPy's, or one that is traced.
+_Known: TypeAlias = np.ndarray | Array
 
 
 class Body(eqx.Module):
@@ -29,7 +38,11 @@ class Body(eqx.Module):
     surface: AbstractSurface
 
     def __init__(
-        self, mass, inertia, surface: AbstractSurface, center_of_mass=(0.0, 0.0, 0.0)
+        self,
+        mass: ArrayLike,
+        inertia: Matrix,
+        surface: AbstractSurface,
+        center_of_mass: Vector = (0.0, 0.0, 0.0),
     ):
         """Make a body.
 
@@ -53,7 +66,7 @@ class Body(eqx.Module):
             "Body.center_of_mass", center_of_mass, (3,), "three lengths in metres"
         )
         self.inertia = checked_inertia("Body.inertia", inertia)
-        if not isinstance(surface, AbstractSurface):
+        if not isinstance(cast(object, surface), AbstractSurface):
             raise FieldError(
                 "Body.surface",
                 surface,
@@ -78,7 +91,9 @@ def _warn_of_outside(surface: AbstractSurface, center: Array) -> None:
         )
 
 
-def checked_inertia(field: str, inertia, thin: bool = False) -> Float[Array, "3 3"]:
+def checked_inertia(
+    field: str, inertia: Matrix, thin: bool = False
+) -> Float[Array, "3 3"]:
     """An inertia tensor about a mass centre that some distribution of mass can have.
 
     Args:
@@ -94,27 +109,30 @@ def checked_inertia(field: str, inertia, thin: bool = False) -> Float[Array, "3 
     # rounding of the user's own arithmetic: 1e-9 of the largest entry is 1e7 ulp
     slack = 1e-9 if tensor.dtype == jnp.float64 else 1e-4
 
+    def not_symmetric(t: _Known) -> Any:
+        return abs(t - t.T).max() > slack * abs(t).max()
+
+    def not_definite(t: _Known) -> Any:
+        least = _principal_moments(t)[0]
+        return least < -slack * abs(t).max() if thin else least <= 0
+
     tensor = refuse(
         tensor,
-        lambda t: abs(t - t.T).max() > slack * abs(t).max(),
+        not_symmetric,
         field,
         "must be symmetric",
         "write entry (i, j) equal to entry (j, i)",
     )
     tensor = refuse(
         tensor,
-        lambda t: (
-            _principal_moments(t)[0] < -slack * abs(t).max()
-            if thin
-            else _principal_moments(t)[0] <= 0
-        ),
+        not_definite,
         field,
         "must be positive definite",
         "check the signs: off-diagonal tensor entries are minus the products of "
         "inertia",
     )
 
-    def breaks_triangle(t):
+    def breaks_triangle(t: _Known) -> Any:
         small, middle, large = _principal_moments(t)
         return large - middle - small > slack * abs(t).max()
 
@@ -128,8 +146,8 @@ def checked_inertia(field: str, inertia, thin: bool = False) -> Float[Array, "3 
     )
 
 
-def _principal_moments(tensor):
-    library = np if isinstance(tensor, np.ndarray) else jnp
+def _principal_moments(tensor: _Known) -> Any:
+    library: Any = np if isinstance(tensor, np.ndarray) else jnp
     return library.linalg.eigvalsh(0.5 * (tensor + tensor.T))
 
 
@@ -151,7 +169,7 @@ def inertia_about(
     weighted = components(mass * arm)
     along = components(arm)
     square = dot(arm, mass * arm)
-    rows = []
+    rows: list[list[Array]] = []
     for i, row in enumerate(components(inertia)):
         entries = components(row)
         rows.append([entries[j] - weighted[i] * along[j] for j in range(i)])

@@ -6,19 +6,21 @@ narrower than the distance of the samples (about a fifteenth of a body's size) m
 missed. Two convex surfaces touch at one place only: for them there is nothing to do.
 """
 
-import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import NDArray
 
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractSurface, Parametric, Revolution
 from ..kinematics.contact import body_to_base
+from ..kinematics.coordinates import FlyingState
+from ..kinematics.voronets import AnyState
 from ..validation.codes import Code, is_stuck
 from .rolling import contact_of
 from .scene import Scene
@@ -28,6 +30,13 @@ _NEAREST = 4  # of those of a body in flight, which Newton's method improves
 _NEAR = 8  # neighbours of a sample
 _ROUNDS, _SHRINK = 12, 0.4  # to 2e-5 of the samples' distance: 1e-10 of its gap
 _AT_ONCE = 64  # samples evaluated together: memory is theirs
+
+_Map: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+# Signed distance of a point [m]; None: a surface without an inside.
+_Level: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, ""] | None]
+# A surface to look along, the other's level, the way to base axes, whether the level
+# takes a search.
+_Side: TypeAlias = tuple[AbstractSurface, _Level, _Map, bool]
 
 
 class Clearance(NamedTuple):
@@ -66,7 +75,7 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
         state: In contact or in flight.
     """
     body = scene.body.surface
-    found = []
+    found: list[tuple[Array, Array]] = []
     for surface, level, on_base, searched in _sides(scene, t, state):
         gap, place = _lowest(surface, level, searched)
         found.append((gap, on_base(place)))
@@ -112,15 +121,15 @@ def lowest_places(
     return gaps, places
 
 
-def _sides(scene: Scene, t, state):
+def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
     """Surfaces to look along: with the other's level, and a way to base axes."""
     body, base = scene.body.surface, scene.base.surface
     to_base, origin = _pose(scene, t, state)
-    placed = lambda x: origin + matvec(to_base, x)
-    back = lambda x: matvec_transposed(to_base, x - origin)
-    sides = []
+    placed: _Map = lambda x: origin + matvec(to_base, x)
+    back: _Map = lambda x: matvec_transposed(to_base, x - origin)
+    sides: list[_Side] = []
     if _has_inside(base):
-        level = lambda x: base.signed_distance(placed(x))
+        level: _Level = lambda x: base.signed_distance(placed(x))
         sides.append((body, level, placed, _is_searched(base)))
     if _has_inside(body) and not base.is_flat:
         level = lambda x: body.signed_distance(back(x))
@@ -141,14 +150,14 @@ def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:
 def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) -> Array:
     """The code of a run, SECOND_CONTACT where it got stuck because of one."""
     stuck = is_stuck(code)
-    found = _clearance_at_end(scene, t, state)
+    found = cast(Clearance, _clearance_at_end(scene, t, state))
     return jnp.where(
         stuck & (found.gap < -0.5 * _touch(found)), Code.SECOND_CONTACT, code
     )
 
 
 @jax.jit
-def _clearance_at_end(scene: Scene, t, state) -> Clearance:
+def _clearance_at_end(scene: Scene, t: Float[Array, ""], state: AnyState) -> Clearance:
     return clearance(scene, t, state)
 
 
@@ -169,7 +178,7 @@ def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:
     return jax.vmap(body.point)(samples)
 
 
-def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
+def _pose(scene: Scene, t: Float[Array, ""], state: AnyState) -> tuple[Array, Array]:
     """Rotation from body to base axes, and the body origin on base axes [m]."""
     if state.touches:
         contact = contact_of(scene, t, state)
@@ -177,6 +186,7 @@ def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
         return to_base, contact.base_point - matvec(to_base, contact.body_point)
     motion = scene.base.motion
     moving = None if motion is None else motion.at(t)
+    state = cast(FlyingState, state)
     place = state.position
     if moving is not None:
         start = 0.0 if moving.position is None else moving.position
@@ -184,7 +194,13 @@ def _pose(scene: Scene, t, state) -> tuple[Array, Array]:
     return body_to_base(rotation_matrix(state.orientation), moving), place
 
 
-def _candidates(surface: AbstractSurface, level: Callable, count: int, searched: bool):
+def _candidates(
+    surface: AbstractSurface, level: _Level, count: int, searched: bool
+) -> tuple[
+    Float[Array, " m"],
+    Float[Array, "m k"],
+    Callable[[Float[Array, " k"]], Float[Array, ""]],
+]:
     """Levels and coordinates of the samples with the lowest levels around them.
 
     Args:
@@ -198,18 +214,20 @@ def _candidates(surface: AbstractSurface, level: Callable, count: int, searched:
     """
     samples = jnp.asarray(surface.samples(), jnp.result_type(float))
 
-    def value(u):
+    def value(u: Float[Array, " k"]) -> Float[Array, ""]:
         return _known(level(surface.point(u)))
 
-    each = functools.partial(jax.lax.map, batch_size=_AT_ONCE)
-    values = each(value, samples) if searched else jax.vmap(value)(samples)
+    one_by_one = lambda: jax.lax.map(value, samples, batch_size=_AT_ONCE)
+    values = cast(Array, one_by_one() if searched else jax.vmap(value)(samples))
     near = _neighbours(surface.lattice())
     local = values <= jnp.min(values[near], axis=1)
     lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
     return -lowest, samples[chosen], value
 
 
-def _lowest(surface: AbstractSurface, level: Callable, searched: bool):
+def _lowest(
+    surface: AbstractSurface, level: _Level, searched: bool
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """The least level of a surface's points, and the point that has it.
 
     Args:
@@ -223,10 +241,12 @@ def _lowest(surface: AbstractSurface, level: Callable, searched: bool):
     ticks = np.linspace(-1.0, 1.0, 5)
     star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
 
-    def lower(u):
-        def narrow(carry, _):
+    def lower(u: Float[Array, " k"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+        def narrow(
+            carry: tuple[Float[Array, " k"], Float[Array, ""]], _: None
+        ) -> tuple[tuple[Float[Array, " k"], Float[Array, ""]], None]:
             u, reach = carry
-            moved = lambda x: surface.neighbour(u, x)
+            moved: Callable[[Array], Array] = lambda x: surface.neighbour(u, x)
             tried = jax.vmap(moved)(jnp.asarray(star, dtype) * (reach * spacing)[None])
             best = jnp.argmin(jax.vmap(value)(tried))
             return (tried[best], reach * _SHRINK), None
@@ -240,21 +260,25 @@ def _lowest(surface: AbstractSurface, level: Callable, searched: bool):
     return gaps[best], places[best]
 
 
-def _least_of(level: Callable, points: Float[Array, "n 3"]):
+def _least_of(
+    level: _Level, points: Float[Array, "n 3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """The least level of some points, and the point that has it."""
-    gaps = jax.vmap(lambda x: _known(level(x)))(points)
+    known: Callable[[Array], Array] = lambda x: _known(level(x))
+    gaps = jax.vmap(known)(points)
     best = jnp.argmin(gaps)
     return gaps[best], points[best]
 
 
-def _known(level: Array) -> Array:
+def _known(level: Float[Array, ""] | None) -> Array:
     """A level; infinite where it is not known."""
+    assert level is not None
     return jnp.where(jnp.isnan(level), jnp.inf, level)
 
 
-def _neighbours(lattice: np.ndarray) -> np.ndarray:
+def _neighbours(lattice: NDArray[Any]) -> NDArray[np.intp]:
     """For each sample the numbers of the samples next to it, shape (n, k)."""
-    near = []
+    near: list[NDArray[np.intp]] = []
     for part in np.array_split(lattice, 8):
         squares = ((part[:, None] - lattice[None]) ** 2).sum(axis=-1)
         near.append(np.argpartition(squares, _NEAR + 1, axis=1)[:, : _NEAR + 1])

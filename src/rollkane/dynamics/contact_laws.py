@@ -5,7 +5,8 @@ rubber, and the normal force where something is proportional to it. Acceleration
 affine in the multipliers, and so are the conditions that determine them.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +82,7 @@ def momentum_rate(scene: Scene, contact: Contact, system: System) -> Momentum:
     known = mass * (cross(w, cross(w, c)) + system.proper)
     if system.force is not None:
         known = known - system.force
-    columns = []
+    columns: list[Array] = []
     for part, s, drive, _ in system.masses:
         m = part.mass[None]
         first = first + total(m * s)
@@ -162,7 +163,11 @@ def _against_spin(contact: Contact, count: int) -> _Push:
 
 
 def _by_normal_force(
-    scene: Scene, contact: Contact, system: System, moment, along: list
+    scene: Scene,
+    contact: Contact,
+    system: System,
+    moment: Float[Array, "3"] | None,
+    along: list[Array],
 ) -> _Push:
     """What is proportional to the normal force ``N = -Rc . N``, for one newton."""
     P = momentum_rate(scene, contact, system)
@@ -174,7 +179,9 @@ def _by_normal_force(
     return _Push(force, row + [zero] * len(along), 1.0, -dot(P.known, N), True)
 
 
-def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solution:
+def _slipping(
+    scene: Scene, contact: Contact, system: System, resisting: Float[Array, "3"] | None
+) -> Solution:
     """Two more accelerations: of the point at the contact, along the surface."""
     P = momentum_rate(scene, contact, system)
     slip = contact.slip
@@ -206,7 +213,13 @@ def _slipping(scene: Scene, contact: Contact, system: System, resisting) -> Solu
     return solution._replace(margin=margin, turn=turn)
 
 
-def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
+def _as_it_begins(
+    friction: DirectedFriction,
+    rows: list[list[Array]],
+    rhs: list[Array],
+    push: _Push,
+    pair: tuple[Float[Array, "3"], Float[Array, "3"]],
+) -> tuple[_Push, Float[Array, ""]]:
     """The push of a slip that may only begin, and the slip's turn for one newton.
 
     With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
@@ -215,9 +228,11 @@ def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
     mu, force = friction.coefficient, push.force
     bare, rest = solve_spd(rows, rhs), [*force[:-2], *[jnp.zeros_like(mu)] * 2]
     answer = solve_spd(rows, rest)
-    unit = lambda k: [jnp.asarray(float(i == k), mu.dtype) for i in range(len(rows))]
+    unit: Callable[[int], list[Array]] = lambda k: [
+        jnp.asarray(float(i == k), mu.dtype) for i in range(len(rows))
+    ]
     columns = [solve_spd(rows, unit(len(rows) - k)) for k in (2, 1)]
-    end = lambda x: jnp.stack(x[-2:])
+    end: Callable[[list[Array]], Array] = lambda x: jnp.stack(x[-2:])
     value = push.value - _dot(push.row, bare)
     sense = 1.0 if push.one_sided else jnp.where(value < 0.0, -1.0, 1.0)
     b, A = end(bare), jnp.stack([end(x) for x in columns], axis=1)
@@ -227,16 +242,19 @@ def _as_it_begins(friction: DirectedFriction, rows, rhs, push: _Push, pair):
     M = mu * (w * A + b[:, None] * r[None])
     balance = Balance(M, own * b + w * end(answer))
     known = jnp.stack([dot(friction.direction, e) for e in pair])
-    along = jax.lax.cond(
-        friction.begins,
-        lambda: -mu * first_way(balance, known),
-        lambda: jnp.stack(force[-2:]),
-    )
+    begun = lambda: -mu * first_way(balance, known)
+    follows = lambda: jnp.stack(force[-2:])
+    along = cast(Array, jax.lax.cond(friction.begins, begun, follows))
     picked = [*force[:-2], *components(along)]
     return push._replace(force=picked), mu * (A[0, 0] + A[1, 1])
 
 
-def _with_point(P: Momentum, system: System, directions, push):
+def _with_point(
+    P: Momentum,
+    system: System,
+    directions: Sequence[Float[Array, "3"]],
+    push: Float[Array, "3"],
+) -> tuple[list[list[Array]], list[Array]]:
     """The system with accelerations of the reference point along directions."""
     rows, rhs = [list(row) for row in system.rows], list(system.rhs)
     zero = jnp.zeros_like(P.mass)
@@ -296,7 +314,9 @@ def _resistance(scene: Scene, contact: Contact) -> Float[Array, "3"] | None:
     return sum(moments[1:], moments[0]) if moments else None
 
 
-def _solve(rows, rhs, pushes: list[_Push]):
+def _solve(
+    rows: list[list[Array]], rhs: list[Array], pushes: list[_Push]
+) -> tuple[list[Array], list[Array], Float[Array, ""] | None]:
     """Accelerations, sizes of the pushes, and the Painleve margin.
 
     The contact is bilateral: where it pulls, friction still acts against the motion,
@@ -305,7 +325,7 @@ def _solve(rows, rhs, pushes: list[_Push]):
     bare = solve_spd(rows, rhs)
     answers = [solve_spd(rows, push.force) for push in pushes]
 
-    def sized(sense):
+    def sized(sense: float) -> tuple[list[Array], Array, Array]:
         """Sizes, what the normal force is a quotient of, and its divisor."""
         signs = [sense if push.signed else 1.0 for push in pushes]
         matrix = [

@@ -1,6 +1,7 @@
 """A user's functions of coordinates alpha: wrapped, counted, and differentiated."""
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -13,6 +14,9 @@ from ..validation.user_functions import UserFunction, accepts, check_output
 
 # Coordinates of one part are counted up to here when the user does not say how many.
 _MOST_COORDINATES = 8
+
+_Given: TypeAlias = dict[str, Callable[..., Any] | None]
+_Shapes: TypeAlias = dict[str, tuple[int, ...]]
 
 
 class Made(eqx.Module):
@@ -27,7 +31,9 @@ class Made(eqx.Module):
     count: int = eqx.field(static=True)
 
 
-def functions_of(owner: str, given: dict, shapes: dict, parameters, count) -> Made:
+def functions_of(
+    owner: str, given: _Given, shapes: _Shapes, parameters: Any, count: object
+) -> Made:
     """The functions of a part, wrapped, with the number of coordinates that fits.
 
     Args:
@@ -49,7 +55,8 @@ def functions_of(owner: str, given: dict, shapes: dict, parameters, count) -> Ma
                 field, count, "must be a whole number", "give 0, 1, 2, ..."
             )
         return _wrapped(owner, given, shapes, parameters, count)
-    fitting, refusal = [], None
+    fitting: list[Made] = []
+    refusal: FieldError | None = None
     for n in range(_MOST_COORDINATES + 1):
         try:
             fitting.append(_wrapped(owner, given, shapes, parameters, n))
@@ -65,9 +72,11 @@ def functions_of(owner: str, given: dict, shapes: dict, parameters, count) -> Ma
     return next((made for made in fitting if made.count >= used), fitting[-1])
 
 
-def _wrapped(owner: str, given: dict, shapes: dict, parameters, n: int) -> Made:
+def _wrapped(
+    owner: str, given: _Given, shapes: _Shapes, parameters: Any, n: int
+) -> Made:
     shapes = shapes | {"force": (n,), "potential": ()}
-    functions = {}
+    functions: dict[str, Any] = {}
     for name, function in given.items():
         field = f"{owner}.{name}"
         if function is None:
@@ -89,13 +98,14 @@ class _Force(eqx.Module):
     n: int = eqx.field(static=True)
     takes_parameters: bool = eqx.field(static=True)
 
-    def __call__(self, arguments, parameters=None):
+    def __call__(self, arguments: Float[Array, " m"], parameters: Any = None) -> Array:
         """Generalized forces."""
         alpha, alpha_dot = arguments[1 : 1 + self.n], arguments[1 + self.n :]
         extra = (parameters,) if self.takes_parameters else ()
         result = self.force(arguments[0], alpha, alpha_dot, *extra)
         if isinstance(result, (tuple, list)):
-            result = jnp.stack([jnp.asarray(x) for x in result])
+            parts = cast(Sequence[Any], result)
+            result = jnp.stack([jnp.asarray(x) for x in parts])
         return result
 
 
@@ -109,7 +119,7 @@ def _used_coordinates(owner: str, made: Made) -> int:
             function = made.functions.get(name)
             if function is None:
                 continue
-            slopes = jax.jacfwd(function)(alpha)
+            slopes = cast(Array, jax.jacfwd(function)(alpha))
             if is_traced(slopes):
                 raise FieldError(
                     f"{owner}.coordinates",
@@ -130,7 +140,7 @@ def moved(
         value = function(alpha)
         return value, jnp.zeros_like(value), jnp.zeros_like(value), ()
 
-    def rate(alpha):
+    def rate(alpha: Float[Array, " n"]) -> tuple[Array, Array]:
         return jax.jvp(function, (alpha,), (alpha_dot,))
 
     (value, velocity), (_, bias) = jax.jvp(rate, (alpha,), (alpha_dot,))

@@ -1,7 +1,7 @@
 """What is not finite in the first rates of a run, in words."""
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
@@ -11,6 +11,9 @@ from .contact_laws import accelerations
 from .mass_matrix import assemble, shares
 from .rolling import contact_of
 from .scene import Scene
+
+# Name, remedy, and what gives its value.
+_Part: TypeAlias = tuple[str, str, Callable[[], Any]]
 
 
 def first_not_finite(scene: Scene, t: Any, state: Any) -> str:
@@ -35,7 +38,7 @@ def first_not_finite(scene: Scene, t: Any, state: Any) -> str:
     )
 
 
-def _parts(scene: Scene, t: Any, state: Any) -> Iterator[tuple[str, str, Callable]]:
+def _parts(scene: Scene, t: Any, state: Any) -> Iterator[_Part]:
     """Name, remedy and value of each part, those first that the others depend on."""
     motion = scene.base.motion
     if motion is not None:
@@ -71,7 +74,7 @@ def _parts(scene: Scene, t: Any, state: Any) -> Iterator[tuple[str, str, Callabl
     )
 
 
-def _of_surfaces(scene: Scene, state: Any) -> Iterator[tuple[str, str, Callable]]:
+def _of_surfaces(scene: Scene, state: Any) -> Iterator[_Part]:
     body, base = scene.body.surface, scene.base.surface
     in_charts = state.in_charts
     places = [("scene.base.surface", base, state.contact_on_base)]

@@ -5,12 +5,13 @@ its friction acts along the direction at which the slip's rate is along the slip
 it is fast enough to be followed. Equations: docs/theory.md, (8.4) and (8.5).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..geometry.small_linear import dot, matvec
 from .friction import AbstractFriction
@@ -23,6 +24,10 @@ ONSET = 1e-5
 # The search for that direction: at most so far at once [rad], until so near that one
 # step more is rounding (its error is squared), at most so often: half a turn and ten
 _FARTHEST, _CLOSE, _TURNS = 0.3, 1e-7, 40
+
+
+# Direction, the last angle turned, how often.
+_Search: TypeAlias = tuple[Float[Array, "2"], Float[Array, ""], Int[Array, ""]]
 
 
 class Balance(NamedTuple):
@@ -62,7 +67,7 @@ class DirectedFriction(AbstractFriction):
         """Whether the slip only begins."""
         return begins(self.direction)
 
-    def ratio(self, slip):
+    def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-mu V / |V|`` [1]."""
         return -self.coefficient * last_way(slip, self.direction)
 
@@ -94,7 +99,7 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     """
     fixed = jax.lax.stop_gradient(balance)
 
-    def turned(carry):
+    def turned(carry: _Search) -> _Search:
         s, _, count = carry
         turn, slope = _turn(fixed, s)
         steepest = jnp.where(slope == 0.0, 1.0, jnp.abs(slope))
@@ -103,7 +108,9 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
 
     begun = start / jnp.sqrt(dot(start, start))
     carry = jax.lax.stop_gradient(begun), jnp.ones_like(start[0]), jnp.asarray(0)
-    going = lambda carry: (carry[1] > _CLOSE) & (carry[2] < _TURNS)
+    going: Callable[[_Search], Array] = lambda carry: (
+        (carry[1] > _CLOSE) & (carry[2] < _TURNS)
+    )
     s, angle, _ = jax.lax.while_loop(going, turned, carry)
     turn, slope = _turn(balance, s)
     s = _by_angle(s, -turn / jnp.where(slope == 0.0, 1.0, slope))
@@ -112,14 +119,14 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     return jnp.where(found, s, jnp.nan)
 
 
-def _turn(balance: Balance, s) -> tuple[Array, Array]:
+def _turn(balance: Balance, s: Float[Array, "2"]) -> tuple[Array, Array]:
     """``s' . (B - M s)``, and its derivative by the angle of s."""
     across = jnp.stack([-s[1], s[0]])
     rate = balance.B - matvec(balance.M, s)
     return dot(across, rate), -dot(s, rate) - dot(across, matvec(balance.M, across))
 
 
-def _by_angle(s, angle):
+def _by_angle(s: Float[Array, "2"], angle: Float[Array, ""]) -> Float[Array, "2"]:
     """A direction, turned."""
     across = jnp.stack([-s[1], s[0]])
     return s * jnp.cos(angle) + across * jnp.sin(angle)

@@ -4,6 +4,7 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import dot
@@ -55,7 +56,7 @@ class ViscousFriction(AbstractFriction):
 
     coefficient: Float[Array, ""]
 
-    def __init__(self, coefficient):
+    def __init__(self, coefficient: ArrayLike):
         """Make the law.
 
         Args:
@@ -72,11 +73,11 @@ class ViscousFriction(AbstractFriction):
         """False."""
         return False
 
-    def force(self, slip):
+    def force(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-c U`` [N]."""
         return -self.coefficient * slip
 
-    def ratio(self, slip):
+    def ratio(self, slip: Float[Array, "3"]) -> None:
         """None: the normal force does not matter."""
         del slip
 
@@ -95,7 +96,7 @@ class CoulombFriction(AbstractFriction):
     coefficient: Float[Array, ""]
     regularization: Float[Array, ""]
 
-    def __init__(self, coefficient, regularization=1e-3):
+    def __init__(self, coefficient: ArrayLike, regularization: ArrayLike = 1e-3):
         """Make the law.
 
         Args:
@@ -111,7 +112,7 @@ class CoulombFriction(AbstractFriction):
             "CoulombFriction.regularization", regularization, (), "a speed in m/s"
         )
 
-    def ratio(self, slip):
+    def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-mu U / sqrt(U^2 + eps^2)`` [1]."""
         return -self.coefficient * slip / regular_size(slip, self.regularization)
 
@@ -136,7 +137,14 @@ class StribeckFriction(AbstractFriction):
     viscous: Float[Array, ""]
     regularization: Float[Array, ""]
 
-    def __init__(self, static, kinetic, speed, viscous=0.0, regularization=1e-3):
+    def __init__(
+        self,
+        static: ArrayLike,
+        kinetic: ArrayLike,
+        speed: ArrayLike,
+        viscous: ArrayLike = 0.0,
+        regularization: ArrayLike = 1e-3,
+    ):
         """Make the law.
 
         Args:
@@ -157,11 +165,11 @@ class StribeckFriction(AbstractFriction):
             "StribeckFriction.regularization", regularization, (), "a speed in m/s"
         )
 
-    def force(self, slip):
+    def force(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-c U`` [N]."""
         return -self.viscous * slip
 
-    def ratio(self, slip):
+    def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-mu(U) U / sqrt(U^2 + eps^2)`` [1]."""
         fallen = jnp.exp(-dot(slip, slip) / self.speed**2)
         mu = self.kinetic + (self.static - self.kinetic) * fallen

@@ -1,13 +1,16 @@
 """Bodies apart: the gap between body and base, and how it closes."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.compile_effort import for_one_call
+from ..geometry.local_geometry import LocalGeometry
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import (
     cross,
@@ -18,9 +21,11 @@ from ..geometry.small_linear import (
     norm,
     solve_2x2,
 )
+from ..kinematics.base_motion import BaseKinematics
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
 from ..validation.checks import real, refuse
+from .bodies import Vector
 from .clearance import lowest_places, may_touch_twice, reach_of
 from .rolling import contact_of
 from .scene import Scene
@@ -30,6 +35,9 @@ _NEWTON = 16
 # Of the size of what is compared, where the search has ended: it ends no closer where
 # rounding does not let it
 _CLOSE = 64
+
+# Steps taken, the state, and what was left before the last step [m].
+_Search: TypeAlias = tuple[Int[Array, ""], FlyingState, Float[Array, ""]]
 
 
 def nearest(
@@ -49,13 +57,13 @@ def nearest(
     fixed = jax.lax.stop_gradient((scene, t, state))
     begun = fixed[2]
     size = 1.0 + norm(begun.position)
-    close = _CLOSE * jnp.finfo(size.dtype).eps * size
+    close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
 
-    def going(carry):
+    def going(carry: _Search) -> Bool[Array, ""]:
         count, _, left = carry
         return (count < _NEWTON) & (left > close)
 
-    def improve(carry):
+    def improve(carry: _Search) -> _Search:
         count, state, _ = carry
         return count + 1, *_improved(*fixed[:2], state)
 
@@ -84,18 +92,22 @@ def nearest_anywhere(
     gaps, starts = lowest_places(*fixed)
     base, body = fixed[0].base.surface, fixed[0].body.surface
 
-    def begun(place):
+    def begun(place: Float[Array, "3"]) -> FlyingState:
         on_body = fixed[2].contact_on_body
         if scene.has_contact_coordinates:
             on_body = body.locate(on_body_axes(*fixed, place))
         return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
 
-    found, closest = jax.vmap(lambda place: nearest(*fixed[:2], begun(place)))(starts)
+    near: Callable[[Array], tuple[Array, FlyingState]] = lambda place: nearest(
+        *fixed[:2], begun(place)
+    )
+    found, closest = jax.vmap(near)(starts)
     # far from an uneven base Newton's method may go astray: there the samples will do
     size = reach_of(body, gaps.dtype)
     strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
     best = jnp.argmin(jnp.where(strays, gaps, found))
-    place = jax.tree.map(lambda x: x[best], _places(closest))
+    at_best: Callable[[Array], Array] = lambda x: x[best]
+    place = jax.tree.map(at_best, _places(closest))
     gap, closest = nearest(scene, t, eqx.tree_at(_places, state, place))
     return jnp.where(strays[best], gaps[best], gap), closest
 
@@ -186,7 +198,17 @@ def release(
 
 
 @for_one_call
-def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
+def _found(
+    scene: Scene,
+    t: Float[Array, ""],
+    e: Float[Array, "4"],
+    w: Float[Array, "3"],
+    r: Float[Array, "3"],
+    v: Float[Array, "3"],
+    a: Float[Array, " n"],
+    a_dot: Float[Array, " n"],
+    near: Vector | None,
+) -> tuple[Float[Array, ""], FlyingState]:
     base, body, motion = scene.base.surface, scene.body.surface, scene.base.motion
     moving = None if motion is None else motion.at(t)
     R = rotation_matrix(e)
@@ -202,7 +224,9 @@ def _found(scene: Scene, t, e, w, r, v, a, a_dot, near):
         on_body = body.locate(down)
     spin = matvec_transposed(R, w)
     state = FlyingState(e, spin, on_base, on_body, a, a_dot, r, v)
-    from_far = lambda state, _: (nearest(scene, t, state)[1], None)
+    from_far: Callable[[FlyingState, None], tuple[FlyingState, None]] = (
+        lambda state, _: (nearest(scene, t, state)[1], None)
+    )
     state, _ = jax.lax.scan(from_far, state, length=4)
     return nearest_anywhere(scene, t, state)
 
@@ -215,16 +239,21 @@ def _none(scene: Scene, state: FlyingState) -> Array:
     return jnp.zeros(_unknowns(scene), state.position.dtype)
 
 
-def _improved(scene: Scene, t, state: FlyingState) -> tuple[FlyingState, Array]:
+def _improved(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[FlyingState, Array]:
     """After a Newton step, and the largest of what was left before it."""
     rest = _none(scene, state)
     left = _apart(scene, t, state, rest)[0]
-    slope = jax.jacfwd(lambda x: _apart(scene, t, state, x)[0])(rest)
+    apart: Callable[[Array], Array] = lambda x: _apart(scene, t, state, x)[0]
+    slope = cast(Array, jax.jacfwd(apart)(rest))
     solve = solve_2x2 if left.shape[0] == 2 else _solve_by_points
     return _moved(scene, state, -solve(slope, left)), jnp.max(jnp.abs(left))
 
 
-def _solve_by_points(slope, left) -> Float[Array, "4"]:
+def _solve_by_points(
+    slope: Float[Array, "4 4"], left: Float[Array, "4"]
+) -> Float[Array, "4"]:
     """Moves of both points; the base's, whose block is near its metric, eliminated."""
     own = solve_2x2(slope[:2, :2], left[:2])
     by_body = solve_2x2(slope[:2, :2], slope[:2, 2:])
@@ -233,7 +262,7 @@ def _solve_by_points(slope, left) -> Float[Array, "4"]:
     return jnp.concatenate([own - matvec(by_body, body), body])
 
 
-def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
+def _moved(scene: Scene, state: FlyingState, x: Float[Array, " m"]) -> FlyingState:
     """The state with nearest points moved by tangent coordinates."""
     base, body = scene.base.surface, scene.body.surface
     on_base, on_body = state.contact_on_base, state.contact_on_body
@@ -246,7 +275,9 @@ def _moved(scene: Scene, state: FlyingState, x) -> FlyingState:
     return eqx.tree_at(_places, state, places)
 
 
-def _placed(scene: Scene, t, state: FlyingState):
+def _placed(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[BaseKinematics | None, Float[Array, "3"], Float[Array, "3 3"]]:
     """Motion of the base, origin of the body on its axes [m], and body to base axes."""
     motion = scene.base.motion
     moving = None if motion is None else motion.at(t)
@@ -265,7 +296,9 @@ def on_body_axes(
     return matvec_transposed(to_base, point - place)
 
 
-def _points(scene: Scene, state: FlyingState, to_base):
+def _points(
+    scene: Scene, state: FlyingState, to_base: Float[Array, "3 3"]
+) -> tuple[LocalGeometry, Float[Array, "3"]]:
     """The base at its nearest point, and the body's nearest point [m], body axes."""
     base, body = scene.base.surface, scene.body.surface
     ground = base.geometry(state.contact_on_base)
@@ -276,7 +309,9 @@ def _points(scene: Scene, state: FlyingState, to_base):
     return ground, of_normal(-matvec_transposed(to_base, ground.frame[:, 2]))
 
 
-def _apart(scene: Scene, t, state: FlyingState, x):
+def _apart(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, x: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], Float[Array, ""]]:
     """How far the points are from being nearest, and their distance [m]."""
     state = _moved(scene, state, x)
     _, place, to_base = _placed(scene, t, state)

@@ -7,12 +7,14 @@ and its work is never positive, whatever the body. Equations: docs/theory.md, (8
 (8.10).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from ..codegen.tableau import weights_of
 from ..geometry.small_linear import dot, matvec, solve_2x2
@@ -71,19 +73,27 @@ def collided(
 
 
 @jax.custom_jvp
-def _collided(inputs, rest_speed):
+def _collided(
+    inputs: Float[Array, "14"], rest_speed: Float[Array, ""]
+) -> Float[Array, "6"]:
     velocity, response = inputs[:3], inputs[3:12].reshape(3, 3)
     return _process(velocity, response, inputs[12], inputs[13], rest_speed)
 
 
 @_collided.defjvp
-def _collided_jvp(primals, tangents):
+def _collided_jvp(
+    primals: tuple[Float[Array, "14"], Float[Array, ""]],
+    tangents: tuple[Float[Array, "14"], Float[Array, ""]],
+) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
     inputs, rest_speed = primals
-    jacobian = jax.jacfwd(lambda x: _process_of(x, rest_speed))(inputs)
+    process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed)
+    jacobian = cast(Float[Array, "6 14"], jax.jacfwd(process)(inputs))
     return _collided(*primals), jacobian @ tangents[0]
 
 
-def _process_of(x, rest_speed):
+def _process_of(
+    x: Float[Array, "14"], rest_speed: Float[Array, ""]
+) -> Float[Array, "6"]:
     return _process(x[:3], x[3:12].reshape(3, 3), x[12], x[13], rest_speed)
 
 
@@ -103,14 +113,21 @@ class _Sliding(NamedTuple):
     turns: Array
 
 
-def _rates(G, mu, y):
+def _rates(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
+) -> Float[Array, "7"]:
     """``u' = G j', j' = (-mu u_t, |u_t|), W' = |u_t| u_n``: smooth as the slip ends."""
     slip = _length(y[:2])
     push = jnp.concatenate([-mu * y[:2], slip[None]])
     return jnp.concatenate([matvec(G, push), push, (slip * y[2])[None]])
 
 
-def _stepped(G, mu, y, h):
+def _stepped(
+    G: Float[Array, "3 3"],
+    mu: Float[Array, ""],
+    y: Float[Array, "7"],
+    h: Float[Array, ""],
+) -> tuple[Float[Array, "7"], Float[Array, "7"]]:
     """One step of an explicit method of order 8, and the rates at its end.
 
     Written out: in a batch a loop over its stages takes fourteen times as long.
@@ -123,14 +140,16 @@ def _stepped(G, mu, y, h):
     return at, known[-1]
 
 
-def _length(v):
+def _length(v: Float[Array, " n"]) -> Float[Array, ""]:
     """Of a vector that may be zero, where its derivative is taken as zero."""
     squared = dot(v, v)
     where = squared > 0.0
     return jnp.where(where, jnp.sqrt(jnp.where(where, squared, 1.0)), 0.0)
 
 
-def _turning(G, mu, y):
+def _turning(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
+) -> Float[Array, ""]:
     """Slip [m/s], times how fast it turns over the fastest that it could.
 
     Zero without friction: the velocity is then linear in the normal impulse.
@@ -141,28 +160,36 @@ def _turning(G, mu, y):
     return jnp.where(mu > 0.0, slip * turning, 0.0)
 
 
-def _slip_of(velocity):
+def _slip_of(
+    velocity: Float[Array, " m"],
+) -> tuple[Float[Array, ""], Float[Array, "2"]]:
     """Slip [m/s] and its direction, zero where it does not slip."""
     slip = _length(velocity[:2])
     return slip, velocity[:2] / jnp.where(slip > 0.0, slip, 1.0)
 
 
-def _fastest(G, mu):
+def _fastest(G: Float[Array, "3 3"], mu: Float[Array, ""]) -> Float[Array, ""]:
     """A bound of the rates of the slip's direction and logarithm."""
     rate = mu * (G[0, 0] + G[1, 1]) + _length(G[:2, 2])
     return jnp.where(rate > 0.0, rate, 1.0)
 
 
-def _slid(G, mu, e, start: _Sliding, least) -> _Sliding:
+def _slid(
+    G: Float[Array, "3 3"],
+    mu: Float[Array, ""],
+    e: Float[Array, ""],
+    start: _Sliding,
+    least: Float[Array, ""],
+) -> _Sliding:
     """Until the impact has ended, or the slip goes straight: to its end, if any."""
     step = jax.lax.stop_gradient(_STEP / _fastest(G, mu))
-    eps = jnp.finfo(G.dtype).eps
+    eps = np.finfo(G.dtype).eps
 
-    def going(c: _Sliding):
+    def going(c: _Sliding) -> Bool[Array, ""]:
         turns = _turning(G, mu, c.y) > least
         return turns & (c.phase < 2) & (c.turns < _TURNS)
 
-    def turn(c: _Sliding):
+    def turn(c: _Sliding) -> _Sliding:
         y, rates = _stepped(G, mu, c.y, c.trial)
         compresses = c.phase == 0
         end = jnp.where(compresses, y[2], y[6] - c.goal)
@@ -203,7 +230,13 @@ def _slid(G, mu, e, start: _Sliding, least) -> _Sliding:
     return jax.lax.while_loop(going, turn, start._replace(trial=step))
 
 
-def _process(velocity, G, mu, e, rest_speed):
+def _process(
+    velocity: Float[Array, "3"],
+    G: Float[Array, "3 3"],
+    mu: Float[Array, ""],
+    e: Float[Array, ""],
+    rest_speed: Float[Array, ""],
+) -> Float[Array, "6"]:
     """Impulse and velocity behind an impact, in one array."""
     zero, none = jnp.zeros_like(mu), jnp.asarray(0)
     y = jnp.concatenate([velocity, jnp.zeros(4, mu.dtype)])
@@ -228,7 +261,8 @@ def _process(velocity, G, mu, e, rest_speed):
     )
     stopped = stopped.pushed(*_without_slip(G, mu), e, jnp.inf)
     slipped = (now.phase == 2) | ~stops
-    end = jax.tree.map(lambda a, b: jnp.where(slipped, a, b), now, stopped)
+    pick: Callable[[Array, Array], Array] = lambda a, b: jnp.where(slipped, a, b)
+    end = jax.tree.map(pick, now, stopped)
     stays = end.velocity[2] < rest_speed
     closed = jnp.concatenate([end.closed[3:6], end.closed[:2], zero[None]])
     found = jnp.concatenate([end.impulse, end.velocity])
@@ -250,7 +284,13 @@ class _Now(NamedTuple):
     goal: Array
     closed: Float[Array, "6"]
 
-    def pushed(self, push, change, e, until) -> "_Now":
+    def pushed(
+        self,
+        push: Float[Array, "3"],
+        change: Float[Array, "3"],
+        e: Float[Array, ""],
+        until: Float[Array, ""] | float,
+    ) -> "_Now":
         """Behind a push of constant direction, ``change`` of velocity for one N s.
 
         It lasts ``until`` a normal impulse, or to the end of the impact: the velocity
@@ -289,12 +329,14 @@ class _Now(NamedTuple):
         )
 
 
-def _root(x):
+def _root(x: Float[Array, ""]) -> Float[Array, ""]:
     """Square root of what may be zero, where its derivative is taken as zero."""
     return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
 
 
-def _without_slip(G, mu):
+def _without_slip(
+    G: Float[Array, "3 3"], mu: Float[Array, ""]
+) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Push along n of one N s on a point that does not slip, and its velocity's change.
 
     It sticks, or begins to slip along s: ``(mu G_tt + f) s = G_tn``, ``|s| = 1``, with
@@ -313,14 +355,14 @@ def _without_slip(G, mu):
     return push, jnp.append(jnp.where(sticks, 0.0, f * s), rise)
 
 
-def _rate_of_slip(A, b):
+def _rate_of_slip(A: Float[Array, "2 2"], b: Float[Array, "2"]) -> Float[Array, ""]:
     """The f > 0 with ``|(A + f)^-1 b| = 1``: Newton on ``1 / |s| - 1``, from below.
 
     That function of f is concave and rises, so that the iterates rise to the root.
     """
     eye = jnp.eye(2, dtype=A.dtype)
 
-    def improved(f, _):
+    def improved(f: Float[Array, ""], _: None) -> tuple[Float[Array, ""], None]:
         s = solve_2x2(A + f * eye, b)
         size = _length(s)
         slope = dot(s, solve_2x2(A + f * eye, s)) / size**3

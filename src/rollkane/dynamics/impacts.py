@@ -109,7 +109,13 @@ def _approach(state: FlyingState, contact: Contact) -> Float[Array, "3"]:
     return v if j is None else v - j
 
 
-def _by_newton(velocity, G, friction, restitution, rest_speed) -> Impact:
+def _by_newton(
+    velocity: Float[Array, "3"],
+    G: Float[Array, "3 3"],
+    friction: Float[Array, ""],
+    restitution: Float[Array, ""],
+    rest_speed: Float[Array, ""],
+) -> Impact:
     """The normal velocity reversed, times the restitution; friction as if at once.
 
     ``J = G^-1 (u+ - u-)`` with ``u+ = -e u_n n`` where the cone has it, else

@@ -5,18 +5,22 @@ or a force on the body, or both.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed
 from ..kinematics.contact import Contact
 from ..validation.checks import not_negative, real
 from ..validation.user_functions import GivenFunction, as_floats
-from .bodies import Body
+from .bodies import Body, Vector
+
+# Force [N] and moment about the contact point [N m], body axes.
+Wrench: TypeAlias = tuple[Float[Array, "3"], Float[Array, "3"]]
 
 
 class AbstractLoad(eqx.Module):
@@ -29,7 +33,7 @@ class AbstractLoad(eqx.Module):
 
     def wrench(
         self, t: Float[Array, ""], body: Body, contact: Contact
-    ) -> tuple[Float[Array, "3"], Float[Array, "3"]] | None:
+    ) -> Wrench | None:
         """Force [N] and moment about the CONTACT POINT [N m], BODY axes; None: none."""
         del t, body, contact
         return None
@@ -73,7 +77,7 @@ class Gravity(AbstractLoad):
 
     acceleration: Float[Array, "3"]
 
-    def __init__(self, acceleration=(0.0, 0.0, -9.81)):
+    def __init__(self, acceleration: Vector = (0.0, 0.0, -9.81)):
         """Make a uniform field.
 
         Args:
@@ -121,7 +125,12 @@ class Force(AbstractLoad):
     point: Float[Array, "3"]
     parameters: Any
 
-    def __init__(self, force, point=(0.0, 0.0, 0.0), parameters: Any = None):
+    def __init__(
+        self,
+        force: Vector | Callable[..., Any],
+        point: Vector = (0.0, 0.0, 0.0),
+        parameters: Any = None,
+    ):
         """Make a force.
 
         Args:
@@ -138,7 +147,7 @@ class Force(AbstractLoad):
         self.force = _given("Force.force", force, self.parameters, "newtons")
         self.point = real("Force.point", point, (3,), "metres, body axes")
 
-    def wrench(self, t, body, contact):
+    def wrench(self, t: Float[Array, ""], body: Body, contact: Contact) -> Wrench:
         """The force, and its moment about the contact point."""
         del body
         force = self.force
@@ -159,7 +168,7 @@ class Torque(AbstractLoad):
     torque: Any
     parameters: Any
 
-    def __init__(self, torque, parameters: Any = None):
+    def __init__(self, torque: Vector | Callable[..., Any], parameters: Any = None):
         """Make a torque.
 
         Args:
@@ -175,7 +184,7 @@ class Torque(AbstractLoad):
         field = "Torque.torque"
         self.torque = _given(field, torque, self.parameters, "newton metres")
 
-    def wrench(self, t, body, contact):
+    def wrench(self, t: Float[Array, ""], body: Body, contact: Contact) -> Wrench:
         """No force, and the torque."""
         del body
         zero = jnp.zeros_like(contact.normal)
@@ -199,7 +208,10 @@ class Potential(AbstractLoad):
     parameters: Any
 
     def __init__(
-        self, potential: Callable, point=(0.0, 0.0, 0.0), parameters: Any = None
+        self,
+        potential: Callable[..., Any],
+        point: Vector = (0.0, 0.0, 0.0),
+        parameters: Any = None,
     ):
         """Make a force by its potential.
 
@@ -225,19 +237,22 @@ class Potential(AbstractLoad):
         """False: what it gives was stored in it."""
         return False
 
-    def _energy(self, position):
+    def _energy(self, position: Float[Array, "3"]) -> Float[Array, ""]:
         return self.potential(position, self.parameters)
 
-    def potential_energy(self, t, body, contact):
+    def potential_energy(
+        self, t: Float[Array, ""], body: Body, contact: Contact
+    ) -> Float[Array, ""]:
         """The potential where the point is [J]."""
         del t, body
         return self._energy(point_motion(contact, self.point).position)
 
-    def wrench(self, t, body, contact):
+    def wrench(self, t: Float[Array, ""], body: Body, contact: Contact) -> Wrench:
         """Less the potential's gradient, and its moment about the contact point."""
         del t, body
         place = point_motion(contact, self.point).position
-        force = -matvec_transposed(contact.rotation, jax.grad(self._energy)(place))
+        slope = cast(Array, jax.grad(self._energy)(place))
+        force = -matvec_transposed(contact.rotation, slope)
         return force, cross(self.point - contact.body_point, force)
 
 
@@ -256,7 +271,13 @@ class Drag(AbstractLoad):
     angular: Float[Array, ""]
     point: Float[Array, "3"]
 
-    def __init__(self, linear=0.0, quadratic=0.0, angular=0.0, point=(0.0, 0.0, 0.0)):
+    def __init__(
+        self,
+        linear: ArrayLike = 0.0,
+        quadratic: ArrayLike = 0.0,
+        angular: ArrayLike = 0.0,
+        point: Vector = (0.0, 0.0, 0.0),
+    ):
         """Make a drag.
 
         Args:
@@ -273,7 +294,7 @@ class Drag(AbstractLoad):
         self.angular = not_negative("Drag.angular", angular, "in N m s")
         self.point = real("Drag.point", point, (3,), "metres, body axes")
 
-    def wrench(self, t, body, contact):
+    def wrench(self, t: Float[Array, ""], body: Body, contact: Contact) -> Wrench:
         """Force and moment about the contact point, body axes."""
         del t, body
         w, arm = contact.angular_velocity, self.point - contact.body_point
@@ -301,13 +322,15 @@ def point_motion(contact: Contact, point: Float[Array, "3"]) -> PointMotion:
     )
 
 
-def _point_velocity(contact: Contact, arm) -> Float[Array, "3"]:
+def _point_velocity(contact: Contact, arm: Float[Array, "3"]) -> Float[Array, "3"]:
     v = cross(contact.angular_velocity, arm)
     moved = contact.point_velocity
     return v if moved is None else moved + v
 
 
-def _given(field: str, value, parameters, unit: str) -> Any:
+def _given(
+    field: str, value: Vector | Callable[..., Any], parameters: Any, unit: str
+) -> Any:
     """Constant components, or a checked function of the time and a point."""
     if not callable(value):
         return real(field, value, (3,), f"three components in {unit}, or a function")

@@ -4,8 +4,8 @@ Angular acceleration and alpha'' on body axes, about the contact point (docs/the
 (4.3)).
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +15,10 @@ from ..geometry.small_linear import components, cross, dot, matvec, matvec_trans
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
+from .carried import Carried
 from .loads import AbstractLoad
 from .scene import Scene
-from .supported import AbstractSupported, Carried, total
+from .supported import AbstractSupported, total
 
 # products of more coordinates are one product of matrices: they would take minutes to
 # compile one by one
@@ -83,7 +84,8 @@ def assemble(
         if wrench is not None:
             rhs = rhs + wrench[1]
             force = wrench[0] if force is None else force + wrench[0]
-    rows, right, masses = Th, components(rhs), []
+    rows, right = Th, components(rhs)
+    masses: list[Masses] = []
     for supported, alpha, alpha_dot in shares(
         scene.supported, state.alpha, state.alpha_dot
     ):
@@ -119,7 +121,8 @@ def generalized_force(
         return None
     force = part.generalized_force(t, alpha, alpha_dot)
     if part.potential_energy(alpha) is not None:
-        spring = -jax.grad(lambda a: part.potential_energy(a))(alpha)
+        stored: Callable[[Array], Array | None] = lambda a: part.potential_energy(a)
+        spring = -cast(Array, jax.grad(stored)(alpha))
         force = spring if force is None else force + spring
     return None if force is None else components(force)
 
@@ -140,7 +143,7 @@ def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masse
 
 
 def _with_masses(
-    rows: list[list[Array]], rhs: list[Array], masses: Masses, own: list | None
+    rows: list[list[Array]], rhs: list[Array], masses: Masses, own: list[Array] | None
 ) -> tuple[list[list[Array]], list[Array]]:
     """The system with one more part: its coordinates come last."""
     part, s, drive, torque = masses
@@ -158,19 +161,19 @@ def _with_masses(
     pushes = [m * u for u in part.partials]
     products = _products(pushes, part.partials)
     for a, (u, push) in enumerate(zip(part.partials, pushes, strict=True)):
-        G = total(cross(s, push))
-        Q = -_summed(dot(u, drive))
+        coupling = total(cross(s, push))
+        value = -_summed(dot(u, drive))
         mass_row = products[a]
         if turning is not None and torque is not None:
             tilt = turning.partials[a]
             stored = matvec(turning.inertia, tilt)
-            G = G + stored
-            Q = Q - dot(tilt, torque)
+            coupling = coupling + stored
+            value = value - dot(tilt, torque)
             mass_row = [
                 x + dot(stored, turning.partials[b]) for b, x in enumerate(mass_row)
             ]
-        rows.append([*components(G), *[zero] * (before - 3), *mass_row])
-        rhs.append(Q if own is None else Q + own[a])
+        rows.append([*components(coupling), *[zero] * (before - 3), *mass_row])
+        rhs.append(value if own is None else value + own[a])
     return rows, rhs
 
 
@@ -187,7 +190,11 @@ def _products(pushes: list[Array], partials: Sequence[Array]) -> list[list[Array
     ]
 
 
-def _inertia_rows(mass, s, own_inertia) -> list[list[Array]]:
+def _inertia_rows(
+    mass: Float[Array, " k"],
+    s: Float[Array, "3 k"],
+    own_inertia: Float[Array, "3 3"] | None,
+) -> list[list[Array]]:
     """Lower triangle of ``sum m (|s|^2 I - s s^T)``, and of a rigid part's own."""
     x, y, z = components(s)
     xx, yy, zz = (_summed(mass * a * a) for a in (x, y, z))

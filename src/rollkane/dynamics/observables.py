@@ -20,7 +20,7 @@ from .loads import Potential
 from .mass_matrix import assemble, field_of, shares, times_lower
 from .rolling import contact_of, press_and_pull
 from .scene import Scene
-from .supported import Prescribed, total
+from .supported import AbstractSupported, Prescribed, total
 
 
 class _Moving(NamedTuple):
@@ -33,11 +33,15 @@ class _Moving(NamedTuple):
     own_energy: Float[Array, ""] | None
 
 
-def _shares(scene: Scene, state: AnyState):
+def _shares(
+    scene: Scene, state: AnyState
+) -> Iterator[tuple[AbstractSupported, Array, Array]]:
     return shares(scene.supported, state.alpha, state.alpha_dot)
 
 
-def _moving(scene: Scene, t, state, contact: Contact) -> Iterator[_Moving]:
+def _moving(
+    scene: Scene, t: Float[Array, ""], state: AnyState, contact: Contact
+) -> Iterator[_Moving]:
     """The body, then everything that it carries."""
     w, j = contact.angular_velocity, contact.point_velocity
     body = scene.body
@@ -101,7 +105,9 @@ def momentum(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array,
     return matvec(contact.rotation, _momentum(scene, t, state, contact))
 
 
-def _momentum(scene, t, state, contact: Contact) -> Float[Array, "3"]:
+def _momentum(
+    scene: Scene, t: Float[Array, ""], state: AnyState, contact: Contact
+) -> Float[Array, "3"]:
     parts = [
         total(mass[None] * v) for mass, _, v, *_ in _moving(scene, t, state, contact)
     ]
@@ -117,7 +123,7 @@ def contact_angular_momentum(
     of Theta'.
     """
     contact = contact_of(scene, t, state)
-    parts = []
+    parts: list[Array] = []
     for mass, s, v, own, _ in _moving(scene, t, state, contact):
         spin = total(mass[None] * cross(s, v))
         parts.append(spin if own is None else spin + own)

@@ -1,11 +1,14 @@
 """Put a body onto its base: find the contact, or say why there is none."""
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+import numpy as np
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float
 
 from ..codegen.compile_effort import for_one_call
 from ..geometry.local_geometry import LocalGeometry, from_normal
@@ -156,7 +159,8 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
         wrong["leaves"] = leaves
     state = consistent(scene, time, state)
     bad = jnp.any(jnp.stack(list(wrong.values())))
-    state = jax.tree.map(lambda x: spoilt(x, bad), state)
+    spoil: Callable[[Array], Array] = lambda x: spoilt(x, bad)
+    state = jax.tree.map(spoil, state)
     return Placed(state, wrong, fit.nearest, overlap, where, _off(scene, fit))
 
 
@@ -166,7 +170,9 @@ def _off(scene: Scene, fit: "_Fit") -> Array:
     return jnp.zeros(()) if field is None else dot(field, fit.out)
 
 
-def _sliding(scene: Scene, time: Array, state: State, asked, loose: float):
+def _sliding(
+    scene: Scene, time: Array, state: State, asked: dict[str, Any], loose: float
+) -> tuple[SlidingState, Bool[Array, ""]]:
     """The state with a slip, and whether its velocity leaves the base."""
     zero = jnp.zeros_like(state.angular_velocity)
     start = SlidingState(**shared_parts(state), slip=zero)
@@ -201,10 +207,11 @@ def _massless(scene: Scene, time: Array, state: State) -> Array:
         ]
     )
     matrix = jax.lax.stop_gradient(matrix)
-    scale = jnp.sqrt(jnp.diagonal(matrix))
+    scale = jnp.sqrt(cast(Array, jnp.diagonal(matrix)))
     matrix = matrix / (scale[:, None] * scale[None, :])
     # a Cholesky factor loses half the digits of the least eigenvalue
-    return ~(jnp.linalg.eigvalsh(matrix)[0] > 100 * jnp.finfo(matrix.dtype).eps)
+    least = cast(Array, jnp.linalg.eigvalsh(matrix)[0])
+    return ~(least > 100 * np.finfo(matrix.dtype).eps)
 
 
 class _Fit(eqx.Module):
@@ -223,17 +230,21 @@ class _Fit(eqx.Module):
     cuts: Array
 
 
-def _looseness(dtype) -> float:
+def _looseness(dtype: DTypeLike) -> float:
     """How far a user's rounded numbers may be off, relative [1]: half the digits."""
     return 1e-6 if dtype == jnp.float64 else 1e-3
 
 
-def _number(dtype, name: str, value: Any, count: int, meaning: str) -> Array:
+def _number(
+    dtype: np.dtype[Any], name: str, value: Any, count: int, meaning: str
+) -> Array:
     array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
     return array if array.dtype == dtype else array.astype(dtype)
 
 
-def _fit(scene: Scene, asked: dict[str, Any], loose: float, time) -> _Fit:
+def _fit(
+    scene: Scene, asked: dict[str, Any], loose: float, time: Float[Array, ""]
+) -> _Fit:
     base, body = scene.base.surface, scene.body.surface
     orientation, point = asked["orientation"], asked["contact_on_base"]
     if isinstance(base, (DiscEdge, Ring)) and asked["base_normal"] is not None:
@@ -274,7 +285,7 @@ def _fit(scene: Scene, asked: dict[str, Any], loose: float, time) -> _Fit:
             norm(shell.normal - normal),
         )
     )
-    rounding = jnp.finfo(point.dtype).eps
+    rounding = np.finfo(point.dtype).eps
     placed = jnp.all(jnp.isfinite(shell.position))
     return _Fit(
         orientation=orientation,
@@ -292,7 +303,9 @@ def _fit(scene: Scene, asked: dict[str, Any], loose: float, time) -> _Fit:
     )
 
 
-def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
+def _opening(
+    shell: LocalGeometry, ground: LocalGeometry, mixing: Float[Array, "2 2"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """How two touching surfaces part: least opening, and relative curvature.
 
     The columns of ``[[K_b, T K_c], [-L_b, T L_c]]``, (3.5), lengths in radii of
@@ -308,13 +321,14 @@ def _opening(shell: LocalGeometry, ground: LocalGeometry, mixing) -> tuple:
     turns = jnp.concatenate([K_b, K_c], axis=1)
     travels = jnp.concatenate([-L_b, L_c], axis=1) / radius
     system = jnp.concatenate([turns, travels])
-    unit = 1.0 / jnp.linalg.norm(system, axis=0, keepdims=True)
+    unit = cast(Array, 1.0 / jnp.linalg.norm(system, axis=0, keepdims=True))
     system, turns, travels = system * unit, turns * unit, travels * unit
     free = jnp.linalg.svd(travels)[2][2:].T
     opening = (-travels[:, :2] @ free[:2]).T @ (turns @ free)
     largest = jnp.max(jnp.abs(opening))
-    least = jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0]
-    return least / jnp.where(largest > 0, largest, 1.0), jnp.linalg.det(system)
+    least = cast(Array, jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0])
+    opening = least / jnp.where(largest > 0, largest, 1.0)
+    return opening, cast(Array, jnp.linalg.det(system))
 
 
 def _size(matrix: Array) -> Array:

@@ -3,13 +3,15 @@
 import abc
 
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import dot
 from ..kinematics.contact import Contact
 from ..validation.checks import not_negative, positive
+from .bodies import Body
 from .friction import regular_size
-from .loads import AbstractLoad
+from .loads import AbstractLoad, Wrench
 
 
 class _Resistance(AbstractLoad):
@@ -25,7 +27,12 @@ class _Resistance(AbstractLoad):
     dry: Float[Array, ""] | None
     regularization: Float[Array, ""]
 
-    def __init__(self, viscous=None, dry=None, regularization=1e-3):
+    def __init__(
+        self,
+        viscous: ArrayLike | None = None,
+        dry: ArrayLike | None = None,
+        regularization: ArrayLike = 1e-3,
+    ):
         """Make a resistance; a part that is left out is no part of the program.
 
         Args:
@@ -61,7 +68,9 @@ class _Resistance(AbstractLoad):
     def resisted(self, contact: Contact) -> Float[Array, "3"]:
         """The part of ``Om`` that it acts against [rad/s], body axes."""
 
-    def wrench(self, t, body, contact):
+    def wrench(
+        self, t: Float[Array, ""], body: Body, contact: Contact
+    ) -> Wrench | None:
         """No force, and the viscous moment."""
         del t, body
         if self.viscous is None:
@@ -69,7 +78,7 @@ class _Resistance(AbstractLoad):
         turning = self.resisted(contact)
         return jnp.zeros_like(turning), -self.viscous * turning
 
-    def moment_by_normal_force(self, contact):
+    def moment_by_normal_force(self, contact: Contact) -> Float[Array, "3"] | None:
         """The dry moment for one newton [m]."""
         if self.dry is None:
             return None
@@ -88,7 +97,7 @@ class RollingResistance(_Resistance):
     Source: docs/theory.md, (7.6).
     """
 
-    def resisted(self, contact):
+    def resisted(self, contact: Contact) -> Float[Array, "3"]:
         """``Om_t`` [rad/s], body axes."""
         Om, N = contact.relative_angular_velocity, contact.normal
         return Om - N * dot(N, Om)
@@ -105,7 +114,7 @@ class SpinningResistance(_Resistance):
     Source: docs/theory.md, (7.6).
     """
 
-    def resisted(self, contact):
+    def resisted(self, contact: Contact) -> Float[Array, "3"]:
         """``(Om . N) N`` [rad/s], body axes."""
         N = contact.normal
         return N * dot(N, contact.relative_angular_velocity)

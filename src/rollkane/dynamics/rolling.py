@@ -4,6 +4,9 @@ One symmetric positive definite system per evaluation for angular acceleration a
 alpha'', on body axes, about the contact point (docs/theory.md, (4.3)).
 """
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -19,6 +22,8 @@ from .scene import Scene
 # a run towards Painleve's paradox ends just before it, with the normal force growing
 # over all
 LEAST_MARGIN = 1e-3
+
+_Heading: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, "2"]]
 
 
 def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
@@ -42,7 +47,7 @@ def watches_headings(scene: Scene) -> bool:
     return any(function is not None for function in _headings(scene))
 
 
-def _headings(scene: Scene) -> tuple:
+def _headings(scene: Scene) -> tuple[_Heading | None, _Heading | None]:
     """Of the body's normal and of the base's, what must not be reversed by a step."""
     body, base = scene.body.surface, scene.base.surface
     return body.normal_heading(base.is_flat), base.normal_heading(False)
@@ -134,13 +139,17 @@ def press_and_pull(
     return _parted(contact, force)
 
 
-def _parted(contact: Contact, force):
+def _parted(
+    contact: Contact, force: Float[Array, "3"]
+) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     out = matvec(contact.rotation, contact.normal)
     press = -dot(force, out)
     return press, force + press * out
 
 
-def _solved(scene: Scene, t, state: AnyState):
+def _solved(
+    scene: Scene, t: Float[Array, ""], state: AnyState
+) -> tuple[Contact, Solution, Float[Array, "3"]]:
     """Contact, accelerations and contact force [N], fixed axes."""
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)

@@ -1,7 +1,7 @@
 """What integrating a rolling scene asks of it, whichever loop does it."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..geometry.small_linear import norm
+from ..geometry.surfaces import AbstractSurface
 from ..kinematics.voronets import CHART_EDGE, ChartContact
 from ..validation.codes import Code, is_stuck
 from .rolling import (
@@ -23,6 +24,10 @@ from .scene import Scene
 # A run that ends at the end of a surface is as close to it as the clock's steps tell
 # [s], and the normal of a disc that lies down is this close to that of its face [rad].
 _AT_AN_EDGE, _FLAT = 1e-9, 1e-6
+
+_Extent: TypeAlias = Callable[[Array], Array | None]
+# What no step may reverse, of a scene, a time [s] and a state.
+Unbroken: TypeAlias = Callable[[Scene, Array, Any], list[Array]]
 
 
 def corners(scene: Scene) -> tuple[Any, bool]:
@@ -40,11 +45,12 @@ def error_sizes(state: Any) -> Any:
     w = state.angular_velocity
     fast = jnp.maximum(norm(w), 1.0)
     fast = jnp.where(jnp.isfinite(fast), fast, 1.0)  # a bad start is refused elsewhere
-    ones = jax.tree.map(jnp.ones_like, state)
+    one: Callable[[Array], Array] = lambda x: jnp.ones_like(x)
+    ones = jax.tree.map(one, state)
     return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
 
 
-def unbroken(scene: Scene, state: Any) -> Callable | None:
+def unbroken(scene: Scene, state: Any) -> Unbroken | None:
     """What no step may reverse; None: nothing. See ``dynamics.rolling.headings``."""
     del state
     return headings if watches_headings(scene) else None
@@ -101,9 +107,13 @@ def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
     """Whether a contact has come to the end of a surface."""
     body, base = scene.body.surface, scene.base.surface
     in_charts = state.in_charts
-    of = lambda surface: surface.chart_extent if in_charts else surface.extent
+    of: Callable[[AbstractSurface], _Extent] = lambda surface: (
+        surface.chart_extent if in_charts else surface.extent
+    )
     contact = contact_of(scene, t, state)
-    places = [(of(base), state.contact_on_base, contact.base_rates)]
+    places: list[tuple[_Extent, Array, Array]] = [
+        (of(base), state.contact_on_base, contact.base_rates)
+    ]
     if scene.has_contact_coordinates or in_charts:
         places.append((of(body), state.contact_on_body, contact.body_rates))
     found = jnp.asarray(False)

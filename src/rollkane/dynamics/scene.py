@@ -3,7 +3,8 @@
 What a scene does not name costs nothing: it is no part of the traced program.
 """
 
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 
@@ -130,14 +131,14 @@ class Base(eqx.Module):
             FieldError: no surface, or something else for a motion.
         """
         surface = Plane() if surface is None else surface
-        if not isinstance(surface, AbstractSurface):
+        if not isinstance(cast(object, surface), AbstractSurface):
             raise FieldError(
                 "Base.surface",
                 surface,
                 "must be a surface",
                 "give one of the catalogue, for example Plane()",
             )
-        if not (motion is None or isinstance(motion, AbstractBaseMotion)):
+        if not isinstance(cast(object, motion), AbstractBaseMotion | None):
             raise FieldError(
                 "Base.motion",
                 motion,
@@ -174,8 +175,8 @@ class Scene(eqx.Module):
         self,
         body: Body,
         base: Base | None = None,
-        supported=(),
-        loads=None,
+        supported: Any = (),
+        loads: AbstractLoad | Sequence[AbstractLoad] | None = None,
         contact: Rolling | Slipping | None = None,
     ):
         """Make a scene.
@@ -237,13 +238,17 @@ class Scene(eqx.Module):
         return active or self.contact.does_work
 
 
-def under(scene: Scene, law, loads=None) -> Scene:
+def under(
+    scene: Scene, law: AbstractContactLaw, loads: tuple[AbstractLoad, ...] | None = None
+) -> Scene:
     """A scene under another contact law, and with other loads if they are given."""
-    alone = lambda x: x is scene.contact or x is scene.loads
+    alone: Callable[[object], bool] = lambda x: x is scene.contact or x is scene.loads
     parts = law, scene.loads if loads is None else loads
     return eqx.tree_at(lambda s: (s.contact, s.loads), scene, parts, is_leaf=alone)
 
 
-def _require(field: str, value, kind, remedy: str) -> None:
+def _require(
+    field: str, value: object, kind: type | tuple[type, ...], remedy: str
+) -> None:
     if not isinstance(value, kind):
         raise FieldError(field, value, f"cannot be a {type(value).__name__}", remedy)

@@ -8,15 +8,16 @@ mechanics needs nothing else.
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..geometry.small_linear import components, dot, matmul
+from ..geometry.small_linear import components
 from ..validation.checks import FieldError, positive
 from ..validation.user_functions import (
     UserFunction,
@@ -24,49 +25,9 @@ from ..validation.user_functions import (
     check_output,
     check_rotation,
 )
-from .bodies import checked_inertia
+from .bodies import Matrix, Vector, checked_inertia
+from .carried import Carried, turning_of
 from .coordinate_functions import functions_of, moved
-
-
-class Turning(eqx.Module):
-    """Rotation of a carried rigid body at one instant, on BODY axes.
-
-    Attributes:
-        rotation: From its own to body axes [1], shape (3, 3).
-        inertia: About its own mass centre [kg m^2], shape (3, 3).
-        velocity: ``w_r``, relative to the rolling body [rad/s], shape (3,).
-        bias: ``w_r*`` at alpha'' = 0, relative rate of it [rad/s^2], shape (3,).
-        partials: ``dw_r/dalpha'^s`` [rad per unit of alpha], each of shape (3,).
-    """
-
-    rotation: Float[Array, "3 3"]
-    inertia: Float[Array, "3 3"]
-    velocity: Float[Array, "3"]
-    bias: Float[Array, "3"]
-    partials: tuple[Float[Array, "3"], ...]
-
-
-class Carried(eqx.Module):
-    """Masses inside the rolling body at one instant, on BODY axes, from its origin.
-
-    Attributes:
-        mass: [kg], shape (k,).
-        place: ``r`` [m], shape (3, k).
-        velocity: ``r*`` relative to the body [m/s], shape (3, k).
-        bias: ``r**`` at alpha'' = 0 [m/s^2], shape (3, k).
-        partials: ``dr/dalpha^s`` [m per unit of alpha], each of shape (3, k); empty
-            where the motion is prescribed.
-        turning: Rotation of a rigid body (then k = 1); None for point masses.
-
-    Source: docs/theory.md, (4.2).
-    """
-
-    mass: Float[Array, " k"]
-    place: Float[Array, "3 k"]
-    velocity: Float[Array, "3 k"]
-    bias: Float[Array, "3 k"]
-    partials: tuple[Float[Array, "3 k"], ...]
-    turning: Turning | None = None
 
 
 class AbstractSupported(eqx.Module):
@@ -107,14 +68,16 @@ class _Driven(AbstractSupported):
     force: eqx.AbstractVar[UserFunction | None]
     potential: eqx.AbstractVar[UserFunction | None]
 
-    def generalized_force(self, t, alpha, alpha_dot):
+    def generalized_force(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Float[Array, " n"] | None:
         """``Q_s`` of the user's force [J per unit of alpha]."""
         if self.force is None:
             return None
         arguments = jnp.concatenate([as_time(t)[None], alpha, alpha_dot])
         return self.force(arguments)
 
-    def potential_energy(self, alpha):
+    def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
         """The user's potential [J]."""
         return None if self.potential is None else self.potential(alpha)
 
@@ -143,10 +106,10 @@ class PointMasses(_Driven):
 
     def __init__(
         self,
-        mass,
-        position: Callable,
-        force: Callable | None = None,
-        potential: Callable | None = None,
+        mass: Vector,
+        position: Callable[..., Any],
+        force: Callable[..., Any] | None = None,
+        potential: Callable[..., Any] | None = None,
         parameters: Any = None,
         coordinates: int | None = None,
     ):
@@ -170,8 +133,9 @@ class PointMasses(_Driven):
             FieldError: masses that are not positive, functions whose shapes do not
                 fit, a number of coordinates that cannot be found.
         """
-        if np.ndim(mass) == 0 and not isinstance(mass, (str, bool, type(None))):
-            mass = [mass]
+        one: Any = mass
+        if np.ndim(one) == 0 and not isinstance(one, (str, bool, type(None))):
+            mass = [one]
         self.mass = positive("PointMasses.mass", mass, (None,), "masses in kg, (k,)")
         shapes = {"position": (self.mass.shape[0], 3)}
         given = {"position": position, "force": force, "potential": potential}
@@ -181,7 +145,9 @@ class PointMasses(_Driven):
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
 
-    def carried(self, t, alpha, alpha_dot) -> Carried:
+    def carried(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
         """The masses at one instant; the positions are differentiated here, once."""
         del t
         place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
@@ -216,12 +182,12 @@ class SupportedBody(_Driven):
 
     def __init__(
         self,
-        mass,
-        inertia,
-        position: Callable,
-        rotation: Callable,
-        force: Callable | None = None,
-        potential: Callable | None = None,
+        mass: ArrayLike,
+        inertia: Matrix,
+        position: Callable[..., Any],
+        rotation: Callable[..., Any],
+        force: Callable[..., Any] | None = None,
+        potential: Callable[..., Any] | None = None,
         parameters: Any = None,
         coordinates: int | None = None,
     ):
@@ -267,7 +233,9 @@ class SupportedBody(_Driven):
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
 
-    def carried(self, t, alpha, alpha_dot) -> Carried:
+    def carried(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
         """The body at one instant."""
         del t
         place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
@@ -278,7 +246,7 @@ class SupportedBody(_Driven):
             velocity[:, None],
             bias[:, None],
             tuple(p[:, None] for p in partials),
-            _turning(self.inertia, *turned),
+            turning_of(self.inertia, *turned),
         )
 
 
@@ -298,7 +266,7 @@ class Prescribed(AbstractSupported):
     def __init__(
         self,
         supported: PointMasses | SupportedBody,
-        motion: Callable,
+        motion: Callable[..., Any],
         parameters: Any = None,
     ):
         """Prescribe a motion.
@@ -313,7 +281,7 @@ class Prescribed(AbstractSupported):
         Raises:
             FieldError: something else, or a motion of another shape.
         """
-        if not isinstance(supported, (PointMasses, SupportedBody)):
+        if not isinstance(cast(object, supported), (PointMasses, SupportedBody)):
             raise FieldError(
                 "Prescribed.supported",
                 supported,
@@ -325,13 +293,16 @@ class Prescribed(AbstractSupported):
         self.motion = UserFunction(field, motion, 1, parameters)
         check_output(field, self.motion, jnp.zeros(1), (supported.count,))
 
-    def carried(self, t, alpha, alpha_dot) -> Carried:
+    def carried(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
         """The masses at one instant, without coordinates."""
         del alpha, alpha_dot
         t = as_time(t)
 
-        def rate(t):
-            return jax.jvp(lambda t: self.motion(t[None]), (t,), (jnp.ones_like(t),))
+        def rate(t: Float[Array, ""]) -> tuple[Array, Array]:
+            motion: Callable[[Array], Array] = lambda t: self.motion(t[None])
+            return jax.jvp(motion, (t,), (jnp.ones_like(t),))
 
         (alpha, alpha_dot), (_, second) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
         own = self.supported.carried(t, alpha, alpha_dot)
@@ -343,11 +314,13 @@ class Prescribed(AbstractSupported):
         bias = _pushed(own.bias, own.partials, pushes)
         return Carried(own.mass, own.place, own.velocity, bias, (), turning)
 
-    def generalized_force(self, t, alpha, alpha_dot):
+    def generalized_force(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> None:
         """None: the drive gives whatever force the motion needs."""
         del t, alpha, alpha_dot
 
-    def potential_energy(self, alpha):
+    def potential_energy(self, alpha: Float[Array, " n"]) -> None:
         """None: what the drive stores is not counted."""
         del alpha
 
@@ -357,31 +330,13 @@ class Prescribed(AbstractSupported):
         return True
 
 
-def _pushed(bias: Array, partials: tuple[Array, ...], accelerations: list) -> Array:
+def _pushed(
+    bias: Array, partials: tuple[Array, ...], accelerations: list[Array]
+) -> Array:
     """Bias with prescribed accelerations of the coordinates."""
     for partial, acceleration in zip(partials, accelerations, strict=True):
         bias = bias + partial * acceleration
     return bias
-
-
-def _turning(inertia, R, R_dot, R_ddot, partials) -> Turning:
-    """Relative rotation on body axes: ``dR R^T = skew(dw)``."""
-
-    def entry(rates, i, j):
-        return dot(rates[i], R[j])
-
-    def spin(rates):
-        return jnp.stack([entry(rates, 2, 1), entry(rates, 0, 2), entry(rates, 1, 0)])
-
-    w = components(spin(R_dot))
-    products = jnp.stack([w[1] * w[2], w[2] * w[0], w[0] * w[1]])
-    return Turning(
-        rotation=R,
-        inertia=matmul(matmul(R, inertia), R.T),
-        velocity=jnp.stack(w),
-        bias=spin(R_ddot) - products,
-        partials=tuple(spin(partial) for partial in partials),
-    )
 
 
 def total(vectors: Float[Array, "3 k"]) -> Float[Array, "3"]:

@@ -64,12 +64,14 @@ def largest_defect(
     return jnp.max(jnp.where(inner, jnp.abs(weights @ ends - rates), 0.0), axis=0)
 
 
-def _bulge(theta):
+def _bulge(theta: Float[Array, "*B"]) -> Float[Array, "*B"]:
     """``16 x^2 (1 - x)^2``: how a cubic's deviation is spread over its interval."""
     return 16.0 * (theta * (1.0 - theta)) ** 2
 
 
-def stays_positive(low: Float[Array, " k"], high: Float[Array, " k"]):
+def stays_positive(
+    low: Float[Array, " k"], high: Float[Array, " k"]
+) -> Bool[Array, ""]:
     """Whether values between these bounds, seen in a step, are far above zero.
 
     Args:
@@ -95,7 +97,7 @@ def between(nodes: Float[Array, " s"], seen: Float[Array, "s k"], end: int) -> D
     spread = _SAFETY * jnp.max(jnp.where(inner, off, 0.0), axis=0)
     theta = jnp.asarray(_GRID, seen.dtype)
     largest = jnp.max(jnp.abs(seen), axis=0)
-    slack = _ROUNDING * jnp.finfo(seen.dtype).eps * largest
+    slack = _ROUNDING * np.finfo(seen.dtype).eps * largest
     bound = _through(theta) @ known - _bulge(theta)[:, None] * spread[None]
     bound = bound + slack[None]
     # what one value lacks is measured by what it was
@@ -114,7 +116,7 @@ def rate_at_end(seen: Float[Array, "s k"], end: int) -> Float[Array, " k"]:
 def _through(x: Float[Array, " n"]) -> Float[Array, "n 4"]:
     """Weights of values at 0, beside it, beside 1, at 1 in the cubic through them."""
     places = (0.0, *BESIDE, 1.0)
-    columns = []
+    columns: list[Array] = []
     for i, own in enumerate(places):
         others = [p for k, p in enumerate(places) if k != i]
         scale = np.prod([own - p for p in others])

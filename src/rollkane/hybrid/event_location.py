@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
 
 class Bracket(NamedTuple):
@@ -25,7 +25,14 @@ class Bracket(NamedTuple):
     value: Array
     off: Array
 
-    def after(self, begins, taken, value, rate, exact) -> "Bracket":
+    def after(
+        self,
+        begins: Bool[Array, ""],
+        taken: Float[Array, ""],
+        value: Float[Array, ""],
+        rate: Float[Array, ""],
+        exact: Bool[Array, ""],
+    ) -> "Bracket":
         """With what a tried step found.
 
         The next try is Newton's, a secant's where the rate is not exact, or the middle.

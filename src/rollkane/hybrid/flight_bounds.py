@@ -5,6 +5,9 @@ bounce. So the gap is looked at inside of each step, on the cubic through the st
 its ends, and by how far body and base could have come towards each other.
 """
 
+from collections.abc import Callable
+from typing import TypeAlias, cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -15,10 +18,11 @@ from ..dynamics.clearance import may_touch_twice
 from ..dynamics.gap import closing, nearest_anywhere
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import norm
-from ..kinematics.coordinates import pack, unpack
+from ..kinematics.coordinates import State, pack, unpack
 from .event_bounds import Doubt, cubic, in_flight, largest_defect
+from .mode_rates import Step
 from .mode_replay import Place
-from .transitions import Step
+from .modes import HybridState
 
 _PLACES = np.linspace(0.0, 1.0, 9)
 # Of the reach of a body: over a base with several nearest places it moves by so much
@@ -29,6 +33,9 @@ _LEAST_WAY = 0.5
 _TRUST = 0.8  # of gaps between surfaces that are known to first order far away
 _ROUNDINGS = 64.0  # of a gap: it is the difference of places
 _SLACK = 1.1  # on speeds at the ends of a step, between which a fall is no faster
+
+# Contact coordinates of the nearest points, on the base and on the body.
+_Places: TypeAlias = tuple[Float[Array, " k"], Float[Array, " m"]]
 
 
 def doubt_in_flight(
@@ -56,7 +63,7 @@ def doubt_in_flight(
     gaps = jnp.stack([gap, end.values[0]])
     turns = may_touch_twice(scene)
 
-    def speeds(t, y):
+    def speeds(t: Float[Array, ""], y: HybridState) -> Float[Array, ""]:
         _, v, spin = closing(scene, t, y.flying())
         return v + spin * reach
 
@@ -67,7 +74,8 @@ def doubt_in_flight(
     if scene.base.motion is None:
         one = jnp.ones_like(h)
         clear = Doubt(jnp.asarray(False), one, jnp.inf * one), fastest
-        doubt, fastest = jax.lax.cond(apart, lambda: clear, inside)
+        clearly = lambda: clear
+        doubt, fastest = cast(tuple[Doubt, Array], jax.lax.cond(apart, clearly, inside))
     else:
         doubt, fastest = inside()
     if not turns:
@@ -80,13 +88,26 @@ def doubt_in_flight(
     return Doubt(doubt.hides | (limit < 0.99), shorter, following)
 
 
-def _inside(scene: Scene, nodes, at: Place, h, end: Step, gaps, reach):
+def _inside(
+    scene: Scene,
+    nodes: Float[Array, " s"],
+    at: Place,
+    h: Float[Array, ""],
+    end: Step,
+    gaps: Float[Array, "2"],
+    reach: Float[Array, ""],
+) -> tuple[Doubt, Float[Array, ""]]:
     """Doubt about the nearest place by what is seen inside, and the fastest speed."""
     ends = jnp.stack([pack(at.y), h * end.rates[0], pack(end.y), h * end.rates[-1]])
     weights = jnp.asarray(cubic(_PLACES), h.dtype)
-    places = lambda y: (y.contact_on_base, y.contact_on_body)
+    places: Callable[[State], _Places] = lambda y: (
+        y.contact_on_base,
+        y.contact_on_body,
+    )
 
-    def look(closest, row):
+    def look(
+        closest: _Places, row: tuple[Float[Array, "4"], Float[Array, ""]]
+    ) -> tuple[_Places, tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]]:
         weight, share = row
         y = eqx.tree_at(places, unpack(weight @ ends, at.y).flying(), closest)
         t = at.t + share * h
@@ -102,6 +123,6 @@ def _inside(scene: Scene, nodes, at: Place, h, end: Step, gaps, reach):
     turned = 2.0 * norm(off.orientation) / norm(at.y.orientation)
     wrong = norm(off.position) + turned * reach
     size = norm(at.y.position) + reach
-    rounding = _ROUNDINGS * jnp.finfo(size.dtype).eps * size
+    rounding = _ROUNDINGS * np.finfo(size.dtype).eps * size
     doubt = in_flight(seen, rates, wrong, rounding)
     return doubt, _SLACK * jnp.max(speeds)

@@ -7,13 +7,13 @@ there the mode changes. Derivatives are those of the recorded steps, replayed.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Float, Int
 
 from ..codegen import in_one_program, in_one_program_or_not
 from ..codegen.tableau import tableau_of
@@ -21,17 +21,24 @@ from ..dynamics.clearance import code_of_touch, reach_of
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
+from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.integrate import in_order
 from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
 from ..validation.codes import NO_FAULT, Code, first_fault, is_stuck
-from .mode_adjoint import pulled_back
-from .mode_loop import Loop, Run, as_it_is
-from .mode_replay import Path, Place, replayed
-from .modes import HybridScene, Mode, ModedState, Switches, of, slipping
+from .mode_adjoint import Cotangents, Make, pulled_back
+from .mode_loop import Loop
+from .mode_replay import Path, Place, Record, replayed
+from .modes import HybridScene, HybridState, Mode, ModedState, Switches, of, slipping
+from .step_trial import Allowed, Run, as_it_is
 from .transitions import Motion
+
+# Scene, start, output times [s], tolerances, and NaN if the start is spoilt.
+_Inputs: TypeAlias = tuple[HybridScene, HybridState, Array, Array, Array, Array]
+# Times at which a scene's rates have a corner [s], and whether they may jump there.
+_Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, bool]]
 
 
 class HybridOutcome(eqx.Module):
@@ -49,27 +56,26 @@ class HybridOutcome(eqx.Module):
     @property
     def unknown(self) -> "HybridOutcome":
         """What of it has no derivative: what was not reached, or where it stopped."""
-        lost = jax.tree.map(lambda x: x != x, self)
+        is_nan: Callable[[Array], Array] = lambda x: x != x
+        lost = jax.tree.map(is_nan, self)
         stopped = self.code != Code.COMPLETED
-        where = lambda s: (s.final_time, s.final_state)
-        return eqx.tree_at(
-            where,
-            lost,
-            replace_fn=lambda part: jax.tree.map(lambda x: x | stopped, part),
-        )
+        or_stopped: Callable[[Array], Array] = lambda x: x | stopped
+        where: Callable[[HybridOutcome], Any] = lambda s: (s.final_time, s.final_state)
+        all_of: Callable[[Any], Any] = lambda part: jax.tree.map(or_stopped, part)
+        return eqx.tree_at(where, lost, replace_fn=all_of)
 
 
 def integrate_modes(
     scene: HybridScene,
     start: State,
-    times,
+    times: Float[Array, " T"],
     stops: Stops,
-    rtol,
-    atol,
-    solver: Any,
+    rtol: Array,
+    atol: Array,
+    solver: dfx.AbstractSolver[Any],
     max_steps: int,
-    corners: Callable,
-    allowed: Callable | None = None,
+    corners: _Corners,
+    allowed: Allowed | None = None,
     native: bool = False,
 ) -> HybridOutcome:
     """Integrate through all changes of the mode, to the asked times.
@@ -99,20 +105,23 @@ def integrate_modes(
     rolling = scene.in_modes.rolling
     start = of(consistent(rolling, jax.lax.stop_gradient(times[0]), start))
     # NaN would keep the step controller going for ever; zero stops it at the start
-    start = jax.tree.map(lambda x: cleared(x, good), start)
+    clear: Callable[[Array], Array] = lambda x: cleared(x, good)
+    start = jax.tree.map(clear, start)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
     inputs = scene, start, stops.time, rtol, atol, spoilt
-    found = differentiable(
+    unknown: Callable[[HybridOutcome], HybridOutcome] = lambda s: s.unknown
+    found: HybridOutcome = differentiable(
         runs.solve,
         inputs,
         push=runs.push if native else None,
         pull=runs.pull,
         twice=_refuse_twice,
-        unknown=lambda s: s.unknown,
+        unknown=unknown,
     )
     state = found.state
     if stops.last is not None:
-        state = jax.tree.map(lambda x: x[stops.last], state)
+        shown: Callable[[Array], Array] = lambda x: x[stops.last]
+        state = jax.tree.map(shown, state)
     code = jnp.where(good, found.code, code_of_fault)
     return dataclasses.replace(found, state=state, code=code, fault=fault)
 
@@ -121,73 +130,91 @@ class _Runs(NamedTuple):
     """Runs from one kind of start, of inputs: scene, state, times and tolerances."""
 
     mode: int
-    solver: Any
+    solver: dfx.AbstractSolver[Any]
     max_steps: int
-    corners: Callable
-    allowed: Callable | None
+    corners: _Corners
+    allowed: Allowed | None
     native: bool
 
-    def made(self, inputs: tuple) -> tuple:
+    def made(self, inputs: _Inputs) -> tuple[Motion, HybridState, Float[Array, " T"]]:
         """Motion, state and times."""
         scene, y, times, *_ = inputs
         tableau = tableau_of(self.solver, times.dtype)
         return Motion(scene.in_modes, scene.modes, tableau), y, times
 
-    def stepped(self, inputs: tuple, recording: bool) -> tuple:
+    def stepped(
+        self, inputs: _Inputs, recording: bool
+    ) -> tuple[HybridOutcome, Record | None]:
         """A run by adaptive steps, and its record."""
         motion, y, times = self.made(inputs)
         scene, *_, rtol, atol, spoilt = inputs
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *self.corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
+        assert order is not None
         loop = Loop(motion, times, where, reach, rtol, atol, order, self.allowed)
         c = loop.run(jnp.asarray(self.mode), y, self.max_steps, recording)
         return _ended(motion, c, times.shape[0], self.allowed, spoilt), c.record
 
-    def repeated(self, inputs: tuple, record: Any) -> HybridOutcome:
+    def repeated(self, inputs: _Inputs, record: Record) -> HybridOutcome:
         """The same by recorded steps."""
         motion, y, times = self.made(inputs)
         path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
         return _outcome(path, t, last, None, None, None)
 
-    def solve(self, inputs: tuple, replay: Any, adjoint: Any) -> tuple:
+    def solve(
+        self, inputs: _Inputs, replay: Record | None, adjoint: object
+    ) -> tuple[HybridOutcome, Record | None]:
         """One of the functions of ``integration.differentiate.differentiable``."""
         if replay is not None:
             return self.repeated(inputs, replay), None
         call = in_one_program if self.native else _called
         return call(self.stepped, inputs, adjoint is not None)
 
-    def push(self, inputs_of: Callable, varied, record, tangents, once) -> list[Array]:
+    def push(
+        self,
+        inputs_of: Callable[[Any], _Inputs],
+        varied: Any,
+        record: Record,
+        tangents: Any,
+        once: object,
+    ) -> list[Array]:
         """Tangents, of recorded steps."""
         del once
 
-        def pushed(varied, record, tangents):
-            outputs = lambda varied: _floats(self.repeated(inputs_of(varied), record))
+        def pushed(varied: Any, record: Record, tangents: Any) -> list[Array]:
+            outputs: Callable[[Any], list[Array]] = lambda varied: _floats(
+                self.repeated(inputs_of(varied), record)
+            )
             return jax.jvp(outputs, (varied,), (tangents,))[1]
 
-        one = lambda tangents: in_one_program_or_not(pushed, varied, record, tangents)
+        one: Callable[[Any], list[Array]] = lambda tangents: in_one_program_or_not(
+            pushed, varied, record, tangents
+        )
         return jax.vmap(one)(tangents)
 
     def pull(
-        self, inputs_of: Callable, varied, record, cotangents, once
+        self,
+        inputs_of: Callable[[Any], _Inputs],
+        varied: Any,
+        record: Record,
+        cotangents: HybridOutcome,
+        once: object,
     ) -> list[Array]:
         """Cotangents, of recorded steps."""
         del once
 
-        def pulled(varied, record, cotangents):
-            make = lambda varied: self.made(inputs_of(varied))
+        def pulled(varied: Any, record: Record, cotangents: Cotangents) -> Any:
+            make: Make = lambda varied: self.made(inputs_of(varied))
             return pulled_back(make, varied, jnp.asarray(self.mode), record, cotangents)
 
-        cotangents = (
-            (cotangents.state, None, cotangents.switches),
-            cotangents.final_time,
-            cotangents.final_state,
-        )
+        of_path = cotangents.state, None, cotangents.switches
+        parts = of_path, cotangents.final_time, cotangents.final_state
         call = in_one_program_or_not if self.native else _called
-        return call(pulled, varied, record, cotangents)
+        return call(pulled, varied, record, parts)
 
 
-def _called(function: Callable, *arguments: Any) -> Any:
+def _called(function: Callable[..., Any], *arguments: Any) -> Any:
     """What a function gives, as a part of XLA's program."""
     return function(*arguments)
 
@@ -196,20 +223,32 @@ def _floats(outputs: Any) -> list[Array]:
     return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
 
 
-def _ended(motion: Motion, c: Run, outputs: int, allowed, spoilt) -> HybridOutcome:
+def _ended(
+    motion: Motion,
+    c: Run,
+    outputs: int,
+    allowed: Allowed | None,
+    spoilt: Float[Array, ""],
+) -> HybridOutcome:
     """What came out of the loop, and why it ended."""
-    code = jnp.where((c.code == 0) & (c.path.index < outputs), Code.MAX_STEPS, c.code)
+    code = jnp.where((c.code == 0) & (c.path.reached < outputs), Code.MAX_STEPS, c.code)
     stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
     code = jnp.where(stuck, Code.BAD_START, code)
     code = _explained(motion, allowed, code, c.place)
     t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
     found = _outcome(c.path, t, last, code, c.accepted, rejected)
-    states = lambda s: (s.state, s.switches.state, s.final_state)
-    spoil = lambda x: x + spoilt if eqx.is_inexact_array(x) else x
+    states: Callable[[HybridOutcome], Any] = lambda s: (
+        s.state,
+        s.switches.state,
+        s.final_state,
+    )
+    spoil: Callable[[Array], Array] = lambda x: (
+        x + spoilt if eqx.is_inexact_array(x) else x
+    )
     return eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
 
 
-def _refuse_twice(*arguments):
+def _refuse_twice(*arguments: object) -> None:
     """An event's time has its first derivative only: one Newton step of value zero."""
     del arguments
     problem = "has no second derivatives"
@@ -217,7 +256,9 @@ def _refuse_twice(*arguments):
     raise FieldError("simulate.modes", "...", problem, remedy)
 
 
-def _explained(motion: Motion, allowed, code, place: Place) -> Array:
+def _explained(
+    motion: Motion, allowed: Allowed | None, code: Int[Array, ""], place: Place
+) -> Array:
     """The code of a run, where it got stuck by what stopped it."""
     stuck = is_stuck(code)
     scene, mu = motion.scenes.rolling, motion.modes.friction
@@ -232,11 +273,20 @@ def _explained(motion: Motion, allowed, code, place: Place) -> Array:
         code = jnp.where(stuck & jams, Code.PAINLEVE, code)
     if allowed is None:
         return code
-    touched = lambda scene, t, y: code_of_touch(code, scene, t, y)
+    touched: Callable[[Scene, Array, Any], Array] = lambda scene, t, y: code_of_touch(
+        code, scene, t, y
+    )
     return as_it_is(touched, scene, place.t, place.mode, place.y)
 
 
-def _outcome(path: Path, t, last, code, steps, rejected) -> HybridOutcome:
+def _outcome(
+    path: Path,
+    t: Float[Array, ""],
+    last: ModedState,
+    code: Any,
+    steps: Any,
+    rejected: Any,
+) -> HybridOutcome:
     none = jnp.asarray(NO_FAULT)
     parts = path.saved, path.switches, code, t, last, steps, rejected, none
     return HybridOutcome(*parts)

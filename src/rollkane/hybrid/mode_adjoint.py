@@ -5,20 +5,42 @@ choose their mode takes a multiple of the time to trace, and keeps what all mode
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import dot, matvec
 from ..kinematics.coordinates import pack, unpack
+from .mode_rates import Seen, plain_cond
 from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed
-from .transitions import Seen, plain_cond
+from .modes import HybridState, ModedState, Switches
+from .transitions import Motion
+
+# Motion, state at the first time and output times, of a tree of floats.
+Make: TypeAlias = Callable[[Any], tuple[Motion, HybridState, Array]]
+# Of path, time and state, as ``mode_replay.replayed`` gives them.
+Cotangents: TypeAlias = tuple[tuple[ModedState, None, Switches], Array, ModedState]
+_Of: TypeAlias = Callable[[Array], Array]
+# Of time, state and direction of a slip.
+_OfPlace: TypeAlias = tuple[Array, HybridState, Array]
+# Number of a step and of its event, then cotangents: of its end, of the inputs.
+_Back: TypeAlias = tuple[Array, Array, _OfPlace, Any]
+# Of a step's begin: of time, state in one array, and direction of a slip.
+_Begin: TypeAlias = tuple[Array, Float[Array, " n"], Float[Array, "3"]]
+# Number of a stage, then cotangents: of its rates, the inputs, the begin, the end.
+_BackStages: TypeAlias = tuple[Array, Float[Array, "s n"], Any, _Begin, Array]
 
 
-def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyTree:
+def pulled_back(
+    make: Make,
+    varied: Any,
+    mode: Int[Array, ""],
+    record: Record,
+    cotangents: Cotangents,
+) -> Any:
     """Cotangents of a run's inputs: its steps backwards, each from where it began.
 
     Args:
@@ -31,19 +53,22 @@ def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyT
     """
     (saved, _, switches), t, last = cotangents
 
-    def of_shown(row, number):
+    def of_shown(row: Float[Array, "4"], number: Int[Array, ""]) -> _OfPlace:
         """What outputs and switches ask of the end of a step."""
         output, event = row[OUTPUT].astype(int), row[KIND] >= 0
-        part = lambda where, array, i: jnp.where(where, array[i], 0.0)
-        at_output = lambda array: part(output > 0, array, output)
-        at_event = lambda array: part(event, array, number)
+        part: Callable[[Array, Array, Array], Array] = lambda where, array, i: (
+            jnp.where(where, array[i], 0.0)
+        )
+        at_output: _Of = lambda array: part(output > 0, array, output)
+        at_event: _Of = lambda array: part(event, array, number)
         y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
         time, changed = jax.tree.map(at_event, (switches.time, switches.state))
         return time, jax.tree.map(jnp.add, y, changed), direction
 
-    def one(carry):
+    def one(carry: _Back) -> _Back:
         i, number, cotangent, of_varied = carry
-        place = jax.tree.map(lambda x: x[i], record.kept)
+        kept: _Of = lambda x: x[i]
+        place = jax.tree.map(kept, record.kept)
         number = number - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
         row, turn = record.step(i, number)
         cotangent = list(cotangent), list(of_shown(row, number))
@@ -51,23 +76,33 @@ def pulled_back(make: Callable, varied, mode, record: Record, cotangents) -> PyT
         return i - 1, number, cotangent, jax.tree.map(jnp.add, of_varied, own)
 
     cotangent = t, last.parts, last.direction
-    none = jax.tree.map(jnp.zeros_like, varied)
+    zeros: _Of = lambda x: jnp.zeros_like(x)
+    none = jax.tree.map(zeros, varied)
     events = jnp.sum(record.steps[:, KIND] >= 0)
-    carry = record.count - 1, events, cotangent, none
-    *_, cotangent, of_varied = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+    carry = record.length - 1, events, cotangent, none
+    more: Callable[[_Back], Array] = lambda c: c[0] >= 0
+    *_, cotangent, of_varied = jax.lax.while_loop(more, one, carry)
 
-    def start(varied):
+    def start(varied: Any) -> _OfPlace:
         motion, y, times = make(varied)
         place = begun(motion, mode, y, times)
         return place.t, place.y, place.direction
 
-    first = jax.tree.map(lambda x: x[0], (saved.parts, saved.direction))
+    at_first: _Of = lambda x: x[0]
+    first = jax.tree.map(at_first, (saved.parts, saved.direction))
     cotangent = cotangent[0], *jax.tree.map(jnp.add, cotangent[1:], first)
-    (own,) = jax.vjp(start, varied)[1](cotangent)
+    (own,) = cast(tuple[Any], jax.vjp(start, varied)[1](cotangent))
     return jax.tree.map(jnp.add, of_varied, own)
 
 
-def _through_step(make: Callable, varied, place: Place, row, turn, cotangent):
+def _through_step(
+    make: Make,
+    varied: Any,
+    place: Place,
+    row: Float[Array, "4"],
+    turn: Float[Array, " m"],
+    cotangent: tuple[list[Any], list[Any]],
+) -> tuple[Any, _OfPlace]:
     """Cotangents of the inputs, and of time, state and direction before a step.
 
     Args:
@@ -84,18 +119,24 @@ def _through_step(make: Callable, varied, place: Place, row, turn, cotangent):
     t, y, mode, direction = place
     known, end, _, last = motion.stages(mode, direction, t, ends, y)
 
-    def after(varied, direction, end, last):
+    def after(
+        varied: Any,
+        direction: Float[Array, "3"],
+        end: Float[Array, " n"],
+        last: Seen,
+    ) -> list[list[Any]]:
         motion, _, times = make(varied)
         at = place._replace(direction=direction)
         known = row, turn, landed(times, row), end, last
         both = behind(motion, at, *known, cond=_cond)
         return [[p.t, p.y, p.direction] for p in both]
 
-    _, pull = jax.vjp(after, varied, direction, end, last)
+    pull = cast(Callable[..., Any], jax.vjp(after, varied, direction, end, last)[1])
     own, of_direction, of_end, of_last = pull(list(cotangent))
     stages = _Stages(make, varied, place, ends, known)
     of_varied, of_place, of_ends = stages.pulled(of_end, of_last)
-    _, pull = jax.vjp(lambda varied: landed(make(varied)[2], row), varied)
+    when: _Of = lambda varied: landed(make(varied)[2], row)
+    pull = cast(Callable[..., Any], jax.vjp(when, varied)[1])
     total = jax.tree.map(lambda *x: sum(x), own, of_varied, *pull(of_ends))
     of_t, of_y, more = of_place
     return total, (of_t, unpack(of_y, y), of_direction + more)
@@ -106,23 +147,37 @@ _cond = eqx.filter_custom_vjp(plain_cond)
 
 
 @_cond.def_fwd
-def _cond_forwards(perturbed, operands, where, then, other):
+def _cond_forwards(
+    perturbed: object,
+    operands: tuple[Any, ...],
+    where: Bool[Array, ""],
+    then: Callable[..., Any],
+    other: Callable[..., Any],
+) -> tuple[Any, None]:
     del perturbed
     return plain_cond(operands, where, then, other), None
 
 
 @_cond.def_bwd
-def _cond_backwards(residuals, cotangent, perturbed, operands, where, then, other):
+def _cond_backwards(
+    residuals: object,
+    cotangent: Any,
+    perturbed: object,
+    operands: tuple[Any, ...],
+    where: Bool[Array, ""],
+    then: Callable[..., Any],
+    other: Callable[..., Any],
+) -> Any:
     del residuals, perturbed
-    moving, fixed = eqx.partition(operands, eqx.is_inexact_array)
+    moving, fixed = cast(tuple[Any, Any], eqx.partition(operands, eqx.is_inexact_array))
 
-    def pulled(branch: Callable) -> Callable:
-        outputs = lambda moving: eqx.filter(
+    def pulled(branch: Callable[..., Any]) -> Callable[[], Any]:
+        outputs: Callable[[Any], Any] = lambda moving: eqx.filter(
             branch(*eqx.combine(moving, fixed)), eqx.is_inexact_array
         )
         return lambda: jax.vjp(outputs, moving)[1](cotangent)[0]
 
-    return jax.lax.cond(where, pulled(then), pulled(other))
+    return cast(Any, jax.lax.cond(where, pulled(then), pulled(other)))
 
 
 class _Stages(NamedTuple):
@@ -136,13 +191,15 @@ class _Stages(NamedTuple):
         known: Rates at its stages.
     """
 
-    make: Callable
-    varied: PyTree
+    make: Make
+    varied: Any
     place: Place
     ends: Array
     known: Float[Array, "s n"]
 
-    def pulled(self, of_end, of_last: Seen):
+    def pulled(
+        self, of_end: Float[Array, " n"], of_last: Seen
+    ) -> tuple[Any, _Begin, Float[Array, ""]]:
         """Cotangents of inputs, of the step's begin, and of the time at which it ends.
 
         Args:
@@ -154,12 +211,12 @@ class _Stages(NamedTuple):
         start, h = pack(y), self.ends - t
         last = tableau.nodes.shape[0] - 1
 
-        def one(carry):
+        def one(carry: _BackStages) -> _BackStages:
             i, of_rates, total, (of_t, of_start, of_direction), of_ends = carry
             weights, node = tableau.rows[i], tableau.nodes[i]
             way = matvec(self.known.T, weights)
             time = jnp.where(i == last, self.ends, t + node * h)
-            at_end = lambda x: jnp.where(i == last, x, 0.0)
+            at_end: _Of = lambda x: jnp.where(i == last, x, 0.0)
             cotangent = of_rates[i], jax.tree.map(at_end, of_last)
             own, turned, of_time, of_at = self._through(
                 time, start + h * way, cotangent
@@ -171,24 +228,40 @@ class _Stages(NamedTuple):
             total = jax.tree.map(jnp.add, total, own)
             return i - 1, of_rates, total, begin, of_ends + of_h
 
-        none = jax.tree.map(jnp.zeros_like, self.varied)
+        zeros: _Of = lambda x: jnp.zeros_like(x)
+        none = jax.tree.map(zeros, self.varied)
         begin = jnp.zeros_like(t), jnp.zeros_like(start), jnp.zeros_like(direction)
         rates, of_ends = jnp.zeros_like(self.known), jnp.zeros_like(t)
         carry = jnp.asarray(last), rates, none, begin, of_ends
-        *_, total, begin, of_ends = jax.lax.while_loop(lambda c: c[0] >= 0, one, carry)
+        more: Callable[[_BackStages], Array] = lambda c: c[0] >= 0
+        *_, total, begin, of_ends = jax.lax.while_loop(more, one, carry)
         return total, begin, of_ends
 
-    def _through(self, time, at, cotangent):
+    def _through(
+        self,
+        time: Float[Array, ""],
+        at: Float[Array, " n"],
+        cotangent: tuple[Float[Array, " n"], Seen],
+    ) -> tuple[Any, Float[Array, "3"], Float[Array, ""], Float[Array, " n"]]:
         """Cotangents of inputs, direction, time and state of one stage."""
         y, mode = self.place.y, self.place.mode
 
-        def pulled_in(number: int):
-            def seen(varied, direction, time, at):
+        def pulled_in(number: int) -> Callable[..., Any]:
+            def seen(
+                varied: Any,
+                direction: Float[Array, "3"],
+                time: Float[Array, ""],
+                at: Float[Array, " n"],
+            ) -> tuple[Float[Array, " n"], Seen]:
                 motion = self.make(varied)[0]
                 rates, seen = motion.by_mode[number](direction, time, unpack(at, y))
                 return pack(rates), seen
 
-            return lambda cotangent, *where: jax.vjp(seen, *where)[1](cotangent)
+            def back(cotangent: Any, *where: Any) -> Any:
+                return cast(Any, jax.vjp(seen, *where)[1](cotangent))
+
+            return back
 
         where = self.varied, self.place.direction, time, at
-        return jax.lax.switch(mode, [pulled_in(i) for i in range(3)], cotangent, *where)
+        branches = [pulled_in(i) for i in range(3)]
+        return cast(Any, jax.lax.switch(mode, branches, cotangent, *where))

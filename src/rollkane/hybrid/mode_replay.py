@@ -5,16 +5,20 @@ the way back.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
+from .mode_rates import Cond, Seen, Step, plain_cond
 from .modes import HybridState, ModedState, Switches
-from .transitions import Motion, Seen, Step, plain_cond
+from .transitions import Motion
+
+# An array, and what is put into it.
+_Stored: TypeAlias = Callable[[Array, Array], Array]
 
 
 class Path(NamedTuple):
@@ -22,12 +26,12 @@ class Path(NamedTuple):
 
     Attributes:
         saved: At the output times; NaN where not reached.
-        index: How many outputs were reached.
+        reached: How many outputs were.
         switches: Changes of the mode.
     """
 
     saved: ModedState
-    index: Array
+    reached: Array
     switches: Switches
 
     @staticmethod
@@ -37,13 +41,18 @@ class Path(NamedTuple):
         Of outputs at one time only the last is saved; those at the first time are it.
         """
         y, outputs = begun.parts, times.shape[0]
-        many = lambda n: jax.tree.map(
-            lambda x: jnp.full((n, *x.shape), jnp.nan, x.dtype), y
-        )
+
+        def many(n: int) -> HybridState:
+            rows: Callable[[Array], Array] = lambda x: jnp.full(
+                (n, *x.shape), jnp.nan, x.dtype
+            )
+            return jax.tree.map(rows, y)
+
         dtype = y.angular_velocity.dtype
         nowhere = jnp.full((outputs, 3), jnp.nan, dtype)
         unset = ModedState(many(outputs), jnp.full(outputs, -1), nowhere)
-        saved = jax.tree.map(lambda a, x: a.at[0].set(x), unset, begun)
+        first: _Stored = lambda a, x: a.at[0].set(x)
+        saved = jax.tree.map(first, unset, begun)
         none, blank = jnp.full(switches, jnp.nan, dtype), jnp.full(switches, -1)
         return Path(
             saved,
@@ -51,13 +60,22 @@ class Path(NamedTuple):
             Switches(none, blank, blank, many(switches), jnp.asarray(0)),
         )
 
-    def after(self, output, event, before, t, y, mode, direction) -> "Path":
+    def after(
+        self,
+        output: Int[Array, ""],
+        event: Bool[Array, ""],
+        before: Int[Array, ""],
+        t: Float[Array, ""],
+        y: HybridState,
+        mode: Int[Array, ""],
+        direction: Float[Array, "3"],
+    ) -> "Path":
         """With a step that ended on an output (0: on none), and on an event or not."""
         saves = output > 0
-        store = lambda array, x: _put(array, output, saves, x)
+        store: _Stored = lambda array, x: _put(array, output, saves, x)
         saved = jax.tree.map(store, self.saved, ModedState(y, mode, direction))
         old = self.switches
-        put = lambda array, x: _put(array, old.count, event, x)
+        put: _Stored = lambda array, x: _put(array, old.count, event, x)
         switches = Switches(
             put(old.time, t),
             put(old.before, before),
@@ -65,10 +83,10 @@ class Path(NamedTuple):
             jax.tree.map(put, old.state, y),
             old.count + jnp.where(event, 1, 0),
         )
-        return Path(saved, jnp.where(saves, output + 1, self.index), switches)
+        return Path(saved, jnp.where(saves, output + 1, self.reached), switches)
 
 
-def _put(array: Array, i, where, x) -> Array:
+def _put(array: Array, i: Int[Array, ""], where: Bool[Array, ""], x: Array) -> Array:
     """With ``x`` in place i, if it is to be and there is one; nothing is copied."""
     last = array.shape[0] - 1
     at = jnp.minimum(i, last)
@@ -93,6 +111,16 @@ class Place(NamedTuple):
         return ModedState(self.y, self.mode, self.direction)
 
 
+# Number of a step, where it begins, and the path until there.
+_Replay: TypeAlias = tuple[Array, Place, Path]
+# Time, mode, direction of a slip and state behind an event.
+_After: TypeAlias = tuple[Array, Array, Array, HybridState]
+
+
+# A state along the direction of its slip, or as it is.
+_Turned: TypeAlias = Callable[[Motion, Array, HybridState, Array, Array], HybridState]
+
+
 class Record(NamedTuple):
     """Accepted steps.
 
@@ -112,34 +140,45 @@ class Record(NamedTuple):
     def empty(steps: int, begun: Place, switches: int) -> "Record":
         """Room for steps and switches."""
         size, dtype = pack(begun.y).shape[0], begun.t.dtype
-        many = lambda x: jnp.zeros((steps, *x.shape), x.dtype)
+        many: Callable[[Array], Array] = lambda x: jnp.zeros((steps, *x.shape), x.dtype)
         return Record(
             jnp.full((steps, 4), jnp.nan, dtype),
             jnp.zeros((switches, 7 + size), dtype),
             jax.tree.map(many, begun),
         )
 
-    def after(self, row, accept, begun: Place, step, count, event, turn) -> "Record":
+    def after(
+        self,
+        row: Int[Array, ""],
+        accept: Bool[Array, ""],
+        begun: Place,
+        step: tuple[Array, ...],
+        count: Int[Array, ""],
+        event: Bool[Array, ""],
+        turn: Float[Array, " m"],
+    ) -> "Record":
         """With an accepted step, where it began, and what its event recorded."""
         numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
-        keep = lambda array, x: _put(array, row, accept, x)
+        keep: _Stored = lambda array, x: _put(array, row, accept, x)
         return Record(
             _put(self.steps, row, accept, numbers),
             _put(self.turns, count, event, turn),
             jax.tree.map(keep, self.kept, begun),
         )
 
-    def step(self, i, number) -> tuple[Array, Array]:
+    def step(self, i: Int[Array, ""], number: Int[Array, ""]) -> tuple[Array, Array]:
         """A step, and what was recorded of its event, the one of that number."""
         return self.steps[i], self.turns[number]
 
     @property
-    def count(self) -> Array:
+    def length(self) -> Array:
         """How many steps there are."""
         return jnp.sum(~jnp.isnan(self.steps[:, _END]))
 
 
-def turning(motion: Motion, at: Place, t, end: Step, kind) -> Array:
+def turning(
+    motion: Motion, at: Place, t: Float[Array, ""], end: Step, kind: Int[Array, ""]
+) -> Array:
     """How an event's time follows what it depends on, then the rates there.
 
     Its value [s per unit]; of a slip that ends, the slip itself [s per m/s], shape
@@ -153,7 +192,7 @@ def turning(motion: Motion, at: Place, t, end: Step, kind) -> Array:
     """
     mode, direction = at.mode, at.direction
 
-    def ended(t):
+    def ended(t: Float[Array, ""]) -> tuple[Float[Array, "2"], HybridState]:
         step = motion.stepped(mode, direction, at.t, t, at.y)
         return step.values, step.y
 
@@ -171,7 +210,13 @@ def turning(motion: Motion, at: Place, t, end: Step, kind) -> Array:
     return jnp.concatenate([inverse[None], way, s, pack(rates)])
 
 
-def replayed(motion: Motion, mode, y, times, record: Record):
+def replayed(
+    motion: Motion,
+    mode: Int[Array, ""],
+    y: HybridState,
+    times: Float[Array, " T"],
+    record: Record,
+) -> tuple[Path, Float[Array, ""], ModedState]:
     """A recorded run once more, for its tangents.
 
     Args:
@@ -187,7 +232,7 @@ def replayed(motion: Motion, mode, y, times, record: Record):
     start = begun(motion, mode, y, times)
     path = Path.empty(start.moded, times, motion.modes.switches)
 
-    def one(carry):
+    def one(carry: _Replay) -> _Replay:
         i, place, path = carry
         row, turn = record.step(i, path.switches.count)
         end, shown = _stepped(motion, times, place, row, turn)
@@ -195,19 +240,21 @@ def replayed(motion: Motion, mode, y, times, record: Record):
         path = path.after(row[OUTPUT].astype(int), event, place.mode, *shown)
         return i + 1, end, path
 
-    more = lambda carry: carry[0] < record.count
+    more: Callable[[_Replay], Array] = lambda carry: carry[0] < record.length
     carry = jnp.asarray(0), start, path
     _, place, path = jax.lax.while_loop(more, one, carry)
     return path, place.t, place.moded
 
 
-def begun(motion: Motion, mode, y, times) -> Place:
+def begun(
+    motion: Motion, mode: Int[Array, ""], y: HybridState, times: Float[Array, " T"]
+) -> Place:
     """Where a run is at its first time."""
     mode, direction, y = motion.begun(mode, times[0], y)
     return Place(times[0], y, mode, direction)
 
 
-def landed(times, row) -> Array:
+def landed(times: Float[Array, " T"], row: Float[Array, "4"]) -> Array:
     """When a recorded step ends.
 
     An output's time moves the end of its step, which may be one number before it.
@@ -218,7 +265,13 @@ def landed(times, row) -> Array:
     return jnp.where(output > 0, end + moved, end)
 
 
-def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Place]:
+def _stepped(
+    motion: Motion,
+    times: Float[Array, " T"],
+    place: Place,
+    row: Float[Array, "4"],
+    turn: Float[Array, " m"],
+) -> tuple[Place, Place]:
     """Behind one step: where the next one begins, and what this one shows."""
     t, y, mode, direction = place
     ends = landed(times, row)
@@ -229,12 +282,12 @@ def _stepped(motion: Motion, times, place: Place, row, turn) -> tuple[Place, Pla
 def behind(
     motion: Motion,
     place: Place,
-    row,
-    turn,
-    t,
-    end,
+    row: Float[Array, "4"],
+    turn: Float[Array, " m"],
+    t: Float[Array, ""],
+    end: Float[Array, " n"],
     last: Seen,
-    cond: Callable = plain_cond,
+    cond: Cond = plain_cond,
 ) -> tuple[Place, Place]:
     """The same of a step whose stages are done.
 
@@ -255,14 +308,20 @@ def behind(
     ends = event & motion.ends_slip(mode, kind)
     fast = motion.has_begun(mode, direction, y, ends)
     s = jnp.where(fast, last.way, turn[4:7])
-    y = cond(
-        (motion, t, y, s, fast),
-        fast | ends,
-        lambda motion, t, y, s, fast: motion.straightened(s, t, y, fast),
-        lambda motion, t, y, s, fast: y,
-    )
+    straight: _Turned = lambda motion, t, y, s, fast: motion.straightened(s, t, y, fast)
+    as_it_is: _Turned = lambda motion, t, y, s, fast: y
+    y = cond((motion, t, y, s, fast), fast | ends, straight, as_it_is)
 
-    def passed(motion, t, y, values, direction, mode, kind, turn):
+    def passed(
+        motion: Motion,
+        t: Float[Array, ""],
+        y: HybridState,
+        values: Float[Array, "2"],
+        direction: Float[Array, "3"],
+        mode: Int[Array, ""],
+        kind: Int[Array, ""],
+        turn: Float[Array, " m"],
+    ) -> _After:
         inverse, way, rates = turn[0], turn[1:4], turn[7:]
         value, slip = values[kind], y.slip
         shift = -(value - jax.lax.stop_gradient(value)) * inverse
@@ -272,7 +331,16 @@ def behind(
         after, direction, y = motion.changed(mode, kind, direction, t, moved)
         return t, after, direction, y
 
-    def stays(motion, t, y, values, direction, mode, kind, turn):
+    def stays(
+        motion: Motion,
+        t: Float[Array, ""],
+        y: HybridState,
+        values: Float[Array, "2"],
+        direction: Float[Array, "3"],
+        mode: Int[Array, ""],
+        kind: Int[Array, ""],
+        turn: Float[Array, " m"],
+    ) -> _After:
         return t, mode, direction, y
 
     known = motion, t, y, values, direction, mode, kind, turn

@@ -2,11 +2,12 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
 from ..dynamics.directed_friction import DirectedFriction
@@ -15,6 +16,9 @@ from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec_transposed
 from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
 from ..validation.checks import FieldError, flag, not_negative, positive, refuse, whole
+
+# Of a scene, the time [s] and a state.
+_Observable: TypeAlias = Callable[[Scene, Array, Any], Any]
 
 
 class Mode:
@@ -51,11 +55,11 @@ class Modes(eqx.Module):
 
     def __init__(
         self,
-        friction=None,
-        static_friction=None,
+        friction: ArrayLike | None = None,
+        static_friction: ArrayLike | None = None,
         lifts: bool = True,
-        restitution=None,
-        rest_speed=1e-3,
+        restitution: ArrayLike | None = None,
+        rest_speed: ArrayLike = 1e-3,
         switches: int = 64,
         impact: str = "energetic",
     ):
@@ -219,7 +223,9 @@ def of(state: Any) -> HybridState:
     return HybridState(**shared_parts(state), **own)
 
 
-def slipping(scene: Scene, mu, direction, state: HybridState) -> Scene:
+def slipping(
+    scene: Scene, mu: Float[Array, ""], direction: Float[Array, "3"], state: HybridState
+) -> Scene:
     """A scene that rolls, as it slips; direction of the slip on fixed axes [1].
 
     Of length 1/2: the slip only begins. It has no derivative: a slip that ends may turn
@@ -267,7 +273,7 @@ class ModedState(eqx.Module):
         return self.parts.angular_velocity
 
 
-def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
+def by_mode(observable: _Observable) -> Callable[[HybridScene, Array, ModedState], Any]:
     """An observable of one mode's scene and state, as one of a state in modes.
 
     Args:
@@ -283,11 +289,12 @@ def by_mode(observable: Callable[[Scene, Array, Any], Any]) -> Callable:
             slides = slipping(scenes.rolling, *way, y)
             slips = observable(slides, t, y.sliding())
         found += [slips, observable(scenes.flying, t, y.flying())]
-        pick = lambda *values: jnp.select(
-            [state.mode == m for m in (Mode.ROLLING, Mode.SLIPPING, Mode.FLYING)],
-            values,
-            jnp.nan,
-        )
+        numbers = Mode.ROLLING, Mode.SLIPPING, Mode.FLYING
+        which = [state.mode == m for m in numbers]
+
+        def pick(*values: Array) -> Array:
+            return jnp.select(which, values, jnp.nan)
+
         return jax.tree.map(pick, *found)
 
     return seen

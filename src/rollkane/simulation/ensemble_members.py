@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import typing
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -15,12 +15,18 @@ from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
 
+# For each leaf of a tree: 0 where members differ, else None.
+_Axes: TypeAlias = list[int | None]
+_Leaf: TypeAlias = tuple[tuple[Any, ...], Any]  # of a tree: its path, and itself
+# Of a leaf, and of its axis of members.
+_OfLeaf: TypeAlias = Callable[[Any, int | None], Any]
+
 
 class Members(NamedTuple):
     """Scenes and starts of an ensemble.
 
     Attributes:
-        count: How many.
+        size: How many.
         scene: Scene, of which leaves may have an axis of members in front; or a
             function of a member's number.
         starts: State, likewise.
@@ -28,19 +34,19 @@ class Members(NamedTuple):
         start_axes: For each leaf of one state, likewise.
     """
 
-    count: int
+    size: int
     scene: Any
     starts: Any
-    scene_axes: list[int | None]
-    start_axes: list[int | None]
+    scene_axes: _Axes
+    start_axes: _Axes
 
     def example(self) -> tuple[Scene, State]:
         """The scene and the start of the first member."""
-        first = lambda x, axis: x if axis is None else _at(x, 0)
+        first: _OfLeaf = lambda x, axis: x if axis is None else _at(x, 0)
         return self.mapped(first, *self.block(0, 1))
 
     def mapped(
-        self, function: Callable, scene: Scene, starts: State
+        self, function: _OfLeaf, scene: Scene, starts: State
     ) -> tuple[Scene, State]:
         """``function(leaf, axis)`` of every leaf of a block."""
         return (
@@ -101,9 +107,9 @@ def members_of(
     return Members(sizes.pop(), scene, starts, scene_found, start_found)
 
 
-def _refuse_unclear(scene: Scene, axes: list, sizes: set[int]) -> None:
+def _refuse_unclear(scene: Scene, axes: _Axes, sizes: set[int]) -> None:
     """Parameters of a user's functions may have any shape: one that fits is unclear."""
-    leaves = jax.tree_util.tree_flatten_with_path(scene)[0]
+    leaves = cast(list[_Leaf], jax.tree_util.tree_flatten_with_path(scene)[0])
     for (path, leaf), axis in zip(leaves, axes, strict=True):
         unknown = axis is None and _declared_rank(scene, path) is None
         if unknown and jnp.ndim(leaf) and leaf.shape[0] in sizes:
@@ -116,17 +122,18 @@ def _refuse_unclear(scene: Scene, axes: list, sizes: set[int]) -> None:
             )
 
 
-def _mapped(function: Callable, tree: Any, axes: list) -> Any:
-    leaves, shape = jax.tree.flatten(tree)
+def _mapped(function: _OfLeaf, tree: Any, axes: _Axes) -> Any:
+    leaves, shape = cast(tuple[list[Any], Any], jax.tree.flatten(tree))
     both = zip(leaves, axes, strict=True)
     return jax.tree.unflatten(shape, [function(x, axis) for x, axis in both])
 
 
-def _block(whole: Any, axes: list, first: int, last: int) -> Any:
+def _block(whole: Any, axes: _Axes, first: int, last: int) -> Any:
     if _is_made(whole):
         return _made(whole)(jnp.arange(first, last))
     some = slice(first, last)
-    return _mapped(lambda x, axis: x if axis is None else _at(x, some), whole, axes)
+    part: _OfLeaf = lambda x, axis: x if axis is None else _at(x, some)
+    return _mapped(part, whole, axes)
 
 
 def _at(x: Any, place: Any) -> Any:
@@ -141,19 +148,20 @@ def _is_made(whole: Any) -> bool:
 
 
 def _structure(whole: Any) -> Any:
-    return jax.tree.structure(_one_made(whole) if _is_made(whole) else whole)
+    one = _one_made(whole) if _is_made(whole) else whole
+    return cast(Any, jax.tree.structure(one))
 
 
-def _one_made(function: Callable) -> Any:
+def _one_made(function: Callable[..., Any]) -> Any:
     return jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.int_))
 
 
 @functools.lru_cache(maxsize=16)  # every block asks for it
-def _made(function: Callable) -> Callable:
+def _made(function: Callable[..., Any]) -> Callable[..., Any]:
     return eqx.filter_jit(jax.vmap(function))
 
 
-def _sizes(whole: Any, axes: list) -> set[int]:
+def _sizes(whole: Any, axes: _Axes) -> set[int]:
     if _is_made(whole):
         return set()
     leaves = zip(jax.tree.leaves(whole), axes, strict=True)
@@ -169,8 +177,9 @@ def _axes_of(name: str, whole: Any, kind: type, given: Any) -> list[int | None]:
     _check_kind(field, whole, kind)
     if given is not None:
         return _spread(field, given, whole)
-    found = []
-    for path, leaf in jax.tree_util.tree_flatten_with_path(whole)[0]:
+    found: _Axes = []
+    leaves = cast(list[_Leaf], jax.tree_util.tree_flatten_with_path(whole)[0])
+    for path, leaf in leaves:
         rank, shape = _declared_rank(whole, path), jnp.shape(leaf)
         if rank is None or len(shape) == rank:
             found.append(None)
@@ -198,13 +207,11 @@ def _check_kind(field: str, value: Any, kind: type) -> None:
 
 def _spread(field: str, given: Any, whole: Any) -> list[int | None]:
     """Axes for every leaf from a prefix of the tree, as ``jax.vmap`` takes them."""
+    spread: Callable[[Any, Any], list[Any]] = lambda axis, below: [
+        axis for _ in jax.tree.leaves(below)
+    ]
     try:
-        tree = jax.tree.map(
-            lambda axis, below: [axis for _ in jax.tree.leaves(below)],
-            given,
-            whole,
-            is_leaf=lambda x: x is None,
-        )
+        tree = jax.tree.map(spread, given, whole, is_leaf=lambda x: x is None)
     except ValueError as error:
         raise FieldError(
             f"{field}_axes", given, "does not fit the scene", "give 0 or None"
@@ -216,7 +223,7 @@ def _spread(field: str, given: Any, whole: Any) -> list[int | None]:
     return axes
 
 
-def _declared_rank(whole: Any, path: tuple) -> int | None:
+def _declared_rank(whole: Any, path: tuple[Any, ...]) -> int | None:
     """How many axes a leaf has by the field that holds it; None where none says it."""
     owner, rank = whole, None
     for key in path:
@@ -233,12 +240,12 @@ def _declared_rank(whole: Any, path: tuple) -> int | None:
     return rank
 
 
-def _rank_of_field(owner: type, name: str) -> int | None:
+def _rank_of_field(owner: Any, name: str) -> int | None:
     if not dataclasses.is_dataclass(owner):
         return None
     declared = {f.name: f.type for f in dataclasses.fields(owner)}.get(name)
     for option in (declared, *typing.get_args(declared)):
-        dims = getattr(option, "dims", None)
+        dims: Any = getattr(option, "dims", None)
         if isinstance(dims, tuple) and getattr(option, "index_variadic", 0) is None:
-            return len(dims)
+            return len(cast(tuple[Any, ...], dims))
     return None

@@ -1,17 +1,17 @@
 """Many motions at once: in blocks, on all cores, in memory that is the block's."""
 
 import os
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from ..codegen import NoCompilerError
 from ..dynamics.scene import Scene
@@ -26,64 +26,19 @@ from ..integration.integrate import (
 from ..integration.solve import UNRECORDED_STEPS
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
-from ..validation.codes import Code, Fields
+from ..validation.codes import Fields
 from .ensemble_members import members_of
+from .ensemble_result import Ensemble
 from .lane_blocks import LaneBlocks, NotForLanesError
-from .run import check_span, check_start, simulate
+from .run import simulate
+from .run_checks import check_span, check_start
+from .trajectory import Trajectory
 
 # what a block's states may take [bytes]
 _ROOM = 2**25
 _MOST_IN_BLOCK = 8192
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
-
-
-class Ensemble(eqx.Module):
-    """Motions of N members at T times, as NumPy arrays.
-
-    Attributes:
-        time: [s], shape (T,).
-        state: States at these times, every array with (N, T) in front, NaN where not
-            reached; None where something else was observed.
-        observed: What ``observe`` gave, every array with (N, T) in front; None without.
-        code: Why each motion ended, one of :class:`Code`, shape (N,); 0 is success.
-        final_time: Time that was reached [s], shape (N,).
-        final_state: State at that time, every array with (N,) in front.
-        steps: Accepted steps, shape (N,).
-        rejected_steps: Rejected steps, shape (N,).
-        fault: Which number of the scene, the start or the times cannot be used, as
-            ``reasons`` names it, shape (N,); -1: none.
-        first: Number of the first member: of a block, its place in the ensemble.
-        method: ``"native"`` or ``"diffrax"``: which integrated.
-        why: Why it was not the native loop; empty if it was, or if diffrax was asked.
-        fields: Names of the numbers that ``fault`` counts.
-    """
-
-    time: Float[Array, " T"]
-    state: State | None
-    observed: Any
-    code: Int[Array, " N"]
-    final_time: Float[Array, " N"]
-    final_state: State
-    steps: Int[Array, " N"]
-    rejected_steps: Int[Array, " N"]
-    fault: Int[Array, " N"]
-    first: int
-    method: str = eqx.field(static=True)
-    why: str = eqx.field(static=True)
-    fields: Fields = eqx.field(static=True)
-
-    @property
-    def succeeded(self) -> Any:
-        """Whether each motion reached its last time, shape (N,)."""
-        return self.code == Code.COMPLETED
-
-    @property
-    def reasons(self) -> dict[str, int]:
-        """Why motions ended, and how many ended so."""
-        codes, faults = np.asarray(self.code).tolist(), np.asarray(self.fault).tolist()
-        counts = Counter(zip(codes, faults, strict=True))
-        return {self.fields.reason(*why): n for why, n in sorted(counts.items())}
 
 
 def ensemble(
@@ -96,7 +51,7 @@ def ensemble(
     scene_axes: Any = None,
     rtol: float | None = None,
     atol: float | None = None,
-    solver: dfx.AbstractSolver | None = None,
+    solver: dfx.AbstractSolver[Any] | None = None,
     modes: Modes | None = None,
     max_steps: int | None = None,
     method: str = "auto",
@@ -149,7 +104,7 @@ def ensemble(
     if run.traced:
         return run.whole()
     parts = list(run.blocks())
-    arrays = [eqx.filter(part, eqx.is_array) for part in parts]
+    arrays = [cast(Any, eqx.filter(part, eqx.is_array)) for part in parts]
     joined = jax.tree.map(lambda *x: np.concatenate(x), *arrays)
     joined = eqx.tree_at(lambda e: e.time, joined, parts[0].time)
     return eqx.combine(joined, parts[0])
@@ -190,20 +145,20 @@ class _Run:
 
     def __init__(
         self,
-        scene,
-        starts,
-        times,
-        observe=None,
-        count=None,
-        scene_axes=None,
-        rtol=None,
-        atol=None,
-        solver=None,
-        modes=None,
-        max_steps=None,
-        method="auto",
-        block=None,
-        workers=None,
+        scene: Any,
+        starts: Any,
+        times: Any,
+        observe: Observable | None = None,
+        count: Any = None,
+        scene_axes: Any = None,
+        rtol: Any = None,
+        atol: Any = None,
+        solver: dfx.AbstractSolver[Any] | None = None,
+        modes: Modes | None = None,
+        max_steps: Any = None,
+        method: str = "auto",
+        block: Any = None,
+        workers: Any = None,
     ):
         self.members = members_of(scene, starts, count, scene_axes)
         self.traced = is_traced(scene, starts, times, rtol, atol)
@@ -221,10 +176,11 @@ class _Run:
         self.times = checked_times(times, dtype)
         known, _ = tolerances(rtol, atol, dtype)
         self.rtol, self.atol = known, atol
-        self.how = {
+        self.solver = default_solver(known) if solver is None else solver
+        self.how: dict[str, Any] = {
             "modes": modes,
             "max_steps": max_steps,
-            "solver": default_solver(known) if solver is None else solver,
+            "solver": self.solver,
         }
         self.lanes, self.method = None, method
         if not self.traced:
@@ -234,7 +190,7 @@ class _Run:
         self.block = self._size(block)
         self.workers = _whole("workers", workers, _processors())
 
-    def _check(self, modes) -> None:
+    def _check(self, modes: Modes | None) -> None:
         scene, start = self.example
         check_span(scene, self.times)
         if modes is None:
@@ -256,28 +212,28 @@ class _Run:
             np.asarray(self.times),
             self.rtol,
             self.atol,
-            self.how["solver"],
+            self.solver,
             _whole("max_steps", self.how["max_steps"], UNRECORDED_STEPS),
         )
 
-    def _size(self, block) -> int:
+    def _size(self, block: int | None) -> int:
         numbers = sum(x.size for x in jax.tree.leaves(self.example[1]))
         fitting = _ROOM // (8 * max(numbers, 1) * self.times.shape[0])
         # small enough that every processor has some
-        fair = -(-self.members.count // _processors())
+        fair = -(-self.members.size // _processors())
         default = max(min(_MOST_IN_BLOCK, fitting, fair), 1)
-        return min(_whole("block", block, default), self.members.count)
+        return min(_whole("block", block, default), self.members.size)
 
     def whole(self) -> Ensemble:
         """All members at once, as JAX arrays."""
-        every = *self.members.block(0, self.members.count), 0, self.members.count
+        every = *self.members.block(0, self.members.size), 0, self.members.size
         return self._simulated(*every)
 
     def blocks(self) -> Iterator[Ensemble]:
         """The blocks in order; while one is taken, the next ones are computed."""
-        firsts = range(0, self.members.count, self.block)
+        firsts = range(0, self.members.size, self.block)
         with ThreadPoolExecutor(self.workers) as pool:
-            under_way: deque = deque()
+            under_way: deque[Future[Ensemble]] = deque()
             for first in firsts:
                 under_way.append(pool.submit(self._one, first))
                 if len(under_way) > self.workers:
@@ -287,19 +243,19 @@ class _Run:
 
     def _one(self, first: int) -> Ensemble:
         """One block, as NumPy arrays."""
-        count = min(self.block, self.members.count - first)
+        count = min(self.block, self.members.size - first)
         scene, starts = self.members.block(first, first + count)
         scene, starts = self._filled(scene, starts, count)
         run = self._simulated if self.lanes is None else self._in_lanes
         return run(scene, starts, first, count)
 
-    def _filled(self, scene, starts, count: int):
+    def _filled(self, scene: Scene, starts: State, count: int) -> tuple[Scene, State]:
         """A last, shorter block filled up with its last member: compiled once."""
         missing = self.block - count
         if not missing:
             return scene, starts
 
-        def repeated(x, axis):
+        def repeated(x: Any, axis: int | None) -> Any:
             if axis is None:
                 return x
             x = jnp.asarray(x)
@@ -307,7 +263,9 @@ class _Run:
 
         return self.members.mapped(repeated, scene, starts)
 
-    def _in_lanes(self, scene, starts, first: int, count: int) -> Ensemble:
+    def _in_lanes(
+        self, scene: Scene, starts: State, first: int, count: int
+    ) -> Ensemble:
         assert self.lanes is not None
         y, results = self.lanes.run(scene, starts, self.block)
         return self._ensemble(
@@ -321,7 +279,9 @@ class _Run:
             results.fault,
         )
 
-    def _simulated(self, scene, starts, first: int, count: int) -> Ensemble:
+    def _simulated(
+        self, scene: Scene, starts: State, first: int, count: int
+    ) -> Ensemble:
         # as arrays: another tolerance compiles nothing
         dtype = self.times.dtype
         sizes = {"rtol": jnp.asarray(self.rtol, dtype)}
@@ -341,7 +301,15 @@ class _Run:
             run.fault,
         )
 
-    def _ensemble(self, made, first, count, scene, state, *rest) -> Ensemble:
+    def _ensemble(
+        self,
+        made: tuple[str, str],
+        first: int,
+        count: int,
+        scene: Scene,
+        state: Any,
+        *rest: Any,
+    ) -> Ensemble:
         observed = None
         if self.observe is not None:
             axes = self.members.axes()[0]
@@ -350,21 +318,33 @@ class _Run:
         parts: Any = state, observed, *rest
         if not self.traced:
             # without what filled the block up
-            parts = jax.tree.map(lambda x: np.asarray(x)[:count], parts)
+            own: Callable[[Any], np.ndarray] = lambda x: np.asarray(x)[:count]
+            parts = jax.tree.map(own, parts)
         times: Any = self.times
         how: dict[str, Any] = dict(zip(("method", "why"), made, strict=True))
         return Ensemble(times, *parts, first=first, fields=self.fields, **how)
 
 
 @eqx.filter_jit
-def _observed(observe, axes, scene, times, state):
+def _observed(
+    observe: Observable, axes: Any, scene: Any, times: Any, state: Any
+) -> Any:
     of_times = jax.vmap(observe, in_axes=(None, 0, 0))
     return jax.vmap(of_times, in_axes=(axes, None, 0))(scene, jnp.asarray(times), state)
 
 
 @eqx.filter_jit
-def _simulated(axes, how, tolerances, scene, starts, times):
-    one = lambda scene, start: simulate(scene, start, times, **how, **tolerances)
+def _simulated(
+    axes: tuple[Any, Any],
+    how: dict[str, Any],
+    tolerances: dict[str, Any],
+    scene: Any,
+    starts: Any,
+    times: Any,
+) -> Trajectory:
+    one: Callable[[Scene, State], Trajectory] = lambda scene, start: simulate(
+        scene, start, times, **how, **tolerances
+    )
     return jax.vmap(one, in_axes=axes)(scene, starts)
 
 

@@ -1,13 +1,15 @@
 """Blocks of an ensemble in the compiled loop over lanes."""
 
 import functools
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import NDArray
 
 from ..codegen import LaneLoop, NoCompilerError, Queue, Results, Stops, zeros_of
 from ..codegen.scalar_program import NotElementwiseError
@@ -50,7 +52,7 @@ class LaneBlocks:
         times: np.ndarray,
         rtol: float | None,
         atol: float | None,
-        solver: dfx.AbstractSolver,
+        solver: dfx.AbstractSolver[Any],
         max_steps: int,
         extended: bool = False,
     ):
@@ -79,7 +81,7 @@ class LaneBlocks:
         dtype = np.longdouble if extended else times.dtype
         self._rtol, self._atol = tolerances(rtol, atol, dtype)
         self._by_size = atol is None
-        leaves, tree = jax.tree.flatten(scene)
+        leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
         own = tuple(axis is not None for axis in members.scene_axes)
         self._explains = explains_ends(scene, start)
         self._outputs = stops_of(times)
@@ -141,8 +143,9 @@ class LaneBlocks:
         """
         span = np.abs(self._times[-1] - self._times[0])
         axes = self._members.axes()
-        begun = _prepared(axes, count, scene, starts, self._times[0], span)
-        y0, sizes, steps, fault, code_of_fault = map(np.asarray, begun)
+        prepared = _prepared(axes, count, scene, starts, self._times[0], span)
+        begun: list[NDArray[Any]] = [np.asarray(x) for x in prepared]
+        y0, sizes, steps, fault, code_of_fault = begun
         own, shared = [np.zeros((count, 0))], [np.zeros(0)]
         leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
         for leaf, axis in leaves:
@@ -191,17 +194,21 @@ class LaneBlocks:
         """The codes, once it is seen what a small step was."""
         mapped = jax.vmap(explained, in_axes=(0, self._members.axes()[0], 0, 0))
         state = self.states(results.final_y)
-        return np.asarray(mapped(results.code, scene, results.final_time, state))
+        known = results.code, scene, results.final_time, state
+        return np.asarray(cast(Array, mapped(*known)))
+
+
+_Shape: TypeAlias = tuple[tuple[int, ...], np.dtype[Any]]  # with the type of numbers
 
 
 class _Kind(NamedTuple):
     """What a compiled loop depends on, apart from numbers."""
 
     tree: Any
-    leaves: tuple
+    leaves: tuple[_Shape, ...]
     own: tuple[bool, ...]
     state: Any
-    sizes: tuple
+    sizes: tuple[_Shape, ...]
     zeros: tuple[bytes, ...]
     extended: bool
 
@@ -212,7 +219,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         kind.state, [jax.ShapeDtypeStruct(*size) for size in kind.sizes]
     )
 
-    def derivative(t, y, *leaves):
+    def derivative(t: Array, y: Array, *leaves: Array) -> Array:
         scene = jax.tree.unflatten(kind.tree, leaves)
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
@@ -235,7 +242,7 @@ def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(x.shape, x.dtype)
 
 
-def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple:
+def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple[Array, ...]:
     """A packed start, sizes of its numbers, the first step [s], and what is wrong."""
     fault, code = first_fault(scene, start, jnp.asarray(True))
     start = consistent(scene, time, start)
@@ -248,7 +255,14 @@ def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple:
 
 
 @eqx.filter_jit
-def _prepared(axes, count: int, scene, starts, time, span) -> tuple:
+def _prepared(
+    axes: tuple[Any, Any],
+    count: int,
+    scene: Any,
+    starts: Any,
+    time: Float[Array, ""],
+    span: Float[Array, ""],
+) -> tuple[Array, ...]:
     in_axes = (*axes, None, None)
     mapped = jax.vmap(_readied, in_axes, axis_size=count)
     return mapped(scene, starts, time, span)

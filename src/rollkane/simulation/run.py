@@ -1,14 +1,14 @@
 """Integrate a scene in time: from a state to a trajectory."""
 
 import functools
-from typing import Any
+from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..codegen.compile_effort import around_a_loop
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
@@ -19,11 +19,10 @@ from ..dynamics.rolling_problem import (
     error_sizes,
     explained,
     explains_ends,
-    has_margin,
     unbroken,
 )
-from ..dynamics.scene import Rolling, Scene
-from ..hybrid.hybrid_run import integrate_modes
+from ..dynamics.scene import Scene
+from ..hybrid.hybrid_run import HybridOutcome, integrate_modes
 from ..hybrid.modes import HybridScene, Modes, of
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.integrate import (
@@ -38,13 +37,14 @@ from ..integration.integrate import (
 )
 from ..integration.projection import KeepingEnergy, check_keeps_energy
 from ..integration.solve import UNRECORDED_STEPS
-from ..integration.step_control import stops_of
-from ..kinematics.coordinates import FlyingState, SlidingState, State, pack
+from ..integration.step_control import Stops, stops_of
+from ..kinematics.coordinates import State, pack
 from ..kinematics.voronets import AnyState, VoronetsState
 from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
+from .run_checks import check_law, check_modes, check_span, check_start
 from .trajectory import Trajectory
 
 # what the loop in C does not have
@@ -62,13 +62,13 @@ def simulate(
     formulation: str = "rolling",
     coordinates: str = "pole-free",
     modes: Modes | None = None,
-    solver: dfx.AbstractSolver | None = None,
-    stepsize_controller: dfx.AbstractStepSizeController | None = None,
+    solver: dfx.AbstractSolver[Any] | None = None,
+    stepsize_controller: dfx.AbstractStepSizeController[Any, Any] | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
     saveat: dfx.SaveAt | None = None,
     dt0: float | None = None,
     max_steps: int | None = None,
-    progress_meter: dfx.AbstractProgressMeter | None = None,
+    progress_meter: dfx.AbstractProgressMeter[Any] | None = None,
     method: str = "auto",
     second_contact: bool = False,
 ) -> Trajectory:
@@ -131,7 +131,7 @@ def simulate(
     """
     _check_names(formulation, coordinates)
     check_method(method)
-    _check_law(scene, formulation, coordinates)
+    check_law(scene, formulation, coordinates)
     if isinstance(solver, KeepingEnergy):
         check_keeps_energy("simulate.scene", scene)
     options = {
@@ -201,27 +201,18 @@ def _refuse(having: str, given: dict[str, bool]) -> None:
 
 def _simulate_modes(
     scene: Scene,
-    start,
-    times,
-    modes: Modes,
-    rtol,
-    atol,
-    solver,
-    max_steps,
-    looks,
-    method,
+    start: Any,
+    times: Any,
+    modes: Any,
+    rtol: float | None,
+    atol: float | None,
+    solver: dfx.AbstractSolver[Any] | None,
+    max_steps: int | None,
+    looks: bool,
+    method: str,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
-    if not isinstance(modes, Modes):
-        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
-    known = State, SlidingState, FlyingState
-    if not isinstance(start, known):
-        remedy = "make it with rollkane.place or rollkane.release"
-        raise FieldError("simulate.start", start, "must be a State", remedy)
-    if isinstance(start, SlidingState) and modes.friction is None:
-        raise FieldError(
-            "Modes.friction", None, "is missing for a start that slips", "give it"
-        )
+    check_modes(start, modes)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
@@ -273,8 +264,18 @@ def _run_modes(*arguments: Any, native: bool) -> Any:
 
 
 def _through_changes(
-    native, scene, start, times, stops, rtol, atol, by_size, solver, max_steps, looks
-):
+    native: bool,
+    scene: HybridScene,
+    start: State,
+    times: Float[Array, " T"],
+    stops: Stops,
+    rtol: Float[Array, ""],
+    atol: Float[Array, ""],
+    by_size: Bool[Array, ""],
+    solver: dfx.AbstractSolver[Any],
+    max_steps: int,
+    looks: bool,
+) -> HybridOutcome:
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     allowed = is_apart if looks else None
@@ -309,7 +310,8 @@ def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
         return code  # nothing to explain, and nothing to compile
     bad = outcome.fault != NO_FAULT
     if explains_ends(scene, state):
-        code = jnp.where(bad, code, explained(code, scene, t, state))
+        found = cast(Array, explained(code, scene, t, state))
+        code = jnp.where(bad, code, found)
     if looks:
         code = jnp.where(bad, code, code_of_touch(code, scene, t, state))
     return code
@@ -324,82 +326,9 @@ def _check_names(formulation: str, coordinates: str) -> None:
             raise FieldError(field, value, "is not known", f"use one of {known}")
 
 
-def _check_law(scene: Scene, formulation: str, coordinates: str) -> None:
-    """The paper's equations and coordinates are those of rolling alone."""
-    alone = type(scene.contact) is Rolling and not has_margin(scene)
-    for field, value, general in (
-        ("simulate.formulation", formulation, "rolling"),
-        ("simulate.coordinates", coordinates, "pole-free"),
-    ):
-        if value != general and not alone:
-            raise FieldError(
-                field,
-                value,
-                "has rolling without slipping only, and no dry resistance",
-                f'use "{general}", or Rolling() without dry resistance',
-            )
-
-
-def check_start(scene: Scene, start: AnyState) -> None:
-    """Refuse a start that does not belong to the scene."""
-    if not isinstance(start, (State, VoronetsState)):
-        raise FieldError(
-            "simulate.start", start, "must be a State", "make it with rollkane.place"
-        )
-    slips = scene.contact.slips
-    if slips != start.slips:
-        raise FieldError(
-            "simulate.start",
-            start,
-            f"is no state of a body that {'slips' if slips else 'rolls'}",
-            "place the body in this scene",
-        )
-    body, base = scene.body.surface, scene.base.surface
-    shapes: dict[str, tuple] = {
-        "angular_velocity": (3,),
-        "alpha": (scene.coordinate_count,),
-        "alpha_dot": (scene.coordinate_count,),
-    }
-    if isinstance(start, VoronetsState):
-        shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
-    else:
-        carried = body.coordinate_count if scene.has_contact_coordinates else 0
-        shapes |= {
-            "orientation": (4,),
-            "contact_on_base": (base.coordinate_count,),
-            "contact_on_body": (carried,),
-        }
-    for field, wanted in shapes.items():
-        shape = getattr(start, field).shape
-        if shape != wanted:
-            raise FieldError(
-                f"simulate.start.{field}",
-                shape,
-                f"must have shape {wanted} in this scene",
-                "place the body in this scene (a batch of starts needs jax.vmap)",
-            )
-
-
-def check_span(scene: Scene, times: Any) -> None:
-    """Refuse times at which the base's motion is not known."""
-    motion = scene.base.motion
-    span = None if motion is None else motion.span
-    if span is None or is_traced(times, span):
-        return
-    first, last = float(span[0]), float(span[1])
-    slack = 1e-9 * (last - first)
-    least, most = float(np.min(times)), float(np.max(times))
-    if least < first - slack or most > last + slack:
-        raise FieldError(
-            "simulate.times",
-            (least, most),
-            f"leave the record of Base.motion, which is known from {first:g} to "
-            f"{last:g} s",
-            "stay within it, or add samples (of zero, for a base that coasts on)",
-        )
-
-
-def _in_coordinates(coordinates: str, scene: Scene, start, time):
+def _in_coordinates(
+    coordinates: str, scene: Scene, start: AnyState, time: Float[Array, ""]
+) -> AnyState:
     """The start in the asked coordinates."""
     if coordinates == "pole-free":
         return to_pole_free(scene, start, time)

@@ -2,7 +2,8 @@
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -224,13 +225,13 @@ class Trajectory:
         """Their rates [1/s], shape (T, n)."""
         return self.state.alpha_dot
 
-    def to_xarray(self):
+    def to_xarray(self) -> Any:
         """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""
         from ..files.export import to_xarray
 
         return to_xarray(self)
 
-    def plot(self, path=None, title: str = ""):
+    def plot(self, path: str | Path | None = None, title: str = "") -> Any:
         """Spin, tilt, energy error and normal force against time (extra ``plot``).
 
         Args:
@@ -246,7 +247,7 @@ class Trajectory:
             return figure_overview(self, title=title)
         return plot_overview(self, path, title=title)
 
-    def view(self, path, title: str = "") -> None:
+    def view(self, path: str | Path, title: str = "") -> None:
         """Write one self-contained page that shows the motion in three dimensions.
 
         Args:
@@ -261,7 +262,9 @@ class Trajectory:
 def _pressing(scene: Scene, t: Array, state: Any) -> tuple[Array, Array]:
     """Normal force and its rate along the motion [N], [N/s]."""
     rates = rolling_derivative(scene, t, state)
-    force = lambda t, s: observables.normal_force(scene, t, s)
+    force: Callable[[Array, Any], Array] = lambda t, s: observables.normal_force(
+        scene, t, s
+    )
     return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
 
 
@@ -270,7 +273,10 @@ def _first_pull(time: Array, scene: Scene, state: Any) -> Array:
     if time.ndim > 1:
         return jax.vmap(_first_pull)(time, scene, state)
     # one state after the other: mapped over all, it takes four times as long to compile
-    values, slopes = jax.lax.map(lambda x: _pressing(scene, *x), (time, state))
+    one: Callable[[tuple[Array, Any]], tuple[Array, Array]] = lambda x: _pressing(
+        scene, *x
+    )
+    values, slopes = cast(tuple[Array, Array], jax.lax.map(one, (time, state)))
     return _first_fall(time, values, slopes)
 
 
@@ -278,7 +284,7 @@ def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
     """First time at which a sampled function with slopes is not positive; else NaN."""
     grid = jnp.linspace(0.0, 1.0, 17, dtype=time.dtype)
 
-    def cubic(i, x):
+    def cubic(i: Array, x: Array) -> Array:
         span = time[i + 1] - time[i]
         v0, v1 = values[i], values[i + 1]
         d0, d1 = slopes[i] * span, slopes[i + 1] * span
@@ -286,19 +292,24 @@ def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
         return v0 + x * (d0 + x * bend)
 
     intervals = jnp.arange(time.shape[0] - 1)
-    inside = jax.vmap(lambda i: jax.vmap(lambda x: cubic(i, x))(grid))(intervals)
+
+    def looked_at(i: Array) -> Array:
+        at: Callable[[Array], Array] = lambda x: cubic(i, x)
+        return jax.vmap(at)(grid)
+
+    inside = jax.vmap(looked_at)(intervals)
     fallen = (inside <= 0).reshape(-1)
     first = jnp.argmax(fallen)
     i, k = first // 17, first % 17
     low, high = grid[jnp.maximum(k - 1, 0)], grid[k]
 
-    def halve(_, bounds):
+    def halve(_: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         mid = 0.5 * (low + high)
         below = cubic(i, mid) <= 0
         return jnp.where(below, low, mid), jnp.where(below, mid, high)
 
-    _, x = jax.lax.fori_loop(0, 60, halve, (low, high))
+    _, x = cast(tuple[Array, Array], jax.lax.fori_loop(0, 60, halve, (low, high)))
     found = time[i] + x * (time[i + 1] - time[i])
     return jnp.where(jnp.any(fallen), found, jnp.nan)
 
@@ -319,7 +330,7 @@ def _angular_velocity(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
     return matvec(contact.rotation, contact.angular_velocity)
 
 
-def _slip(scene: Scene, t, state) -> Float[Array, "3"]:
+def _slip(scene: Scene, t: Array, state: Any) -> Float[Array, "3"]:
     contact = contact_of(scene, t, state)
     slip = contact.slip
     zero = jnp.zeros_like(contact.normal)

@@ -1,0 +1,287 @@
+"""One step of a run in modes: tried, and judged.
+
+A step is accepted when its error is small and no event can hide in it. One that ends
+behind an event is shortened until it ends on it, by a bracketing secant.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..dynamics.gap import closing
+from ..dynamics.rolling import headings, watches_headings
+from ..dynamics.scene import Scene
+from ..geometry.small_linear import dot
+from ..integration.step_control import Landings
+from ..kinematics.coordinates import pack, unpack
+from .event_bounds import Doubt, between, rate_at_end, stays_positive
+from .event_location import Bracket
+from .flight_bounds import doubt_in_flight
+from .mode_rates import Step
+from .mode_replay import Path, Place, Record
+from .modes import HybridState, Mode
+from .transitions import Motion
+
+_ROOT = 1e-12  # of the event's value at the step's start
+_STAYS = 1e-11  # [s]: so near an event its value falls with each try, or is rounding
+_TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
+# A slip is regular down to SMALLEST_SLIP; one that is larger where it stands across its
+# old direction has turned, not ended
+_ENDED_SLIP = 30.0 * SMALLEST_SLIP
+# Rate times step: methods of orders 3 and 5 are stable to 2.5 and 3.3 at least
+_SETTLES = 2.0
+# Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
+# more than rounding (an event's value that stays zero)
+_CUTS = 24
+
+# Whether a step may end at a state, of a scene, a time and the state.
+Allowed: TypeAlias = Callable[[Scene, Array, Any], Array]
+
+
+class Run(NamedTuple):
+    """What the loop carries."""
+
+    place: Place
+    step: Array
+    values: Array  # of the events at t; NaN behind a change, where they may be zero
+    searching: Array
+    bracket: Bracket
+    cuts: Array  # of this step, because an event could hide in it
+    landing: Array  # next of the times on which a step must end
+    path: Path
+    record: Record | None
+    accepted: Array
+    tried: Array
+    code: Array
+
+
+class Tried(NamedTuple):
+    """A tried step: where it ended, how good it was, and what it saw of the events."""
+
+    t: Array
+    end: Step
+    size: Array  # of its error, over what is allowed
+    lands: Array  # on a time that it must end on
+    doubt: Doubt
+
+
+class Verdict(NamedTuple):
+    """What becomes of a tried step."""
+
+    accept: Array
+    event: Array
+    kind: Array
+    searching: Array
+    bracket: Bracket
+    step: Array
+    cuts: Array
+    stuck: Array
+
+
+class Trials(eqx.Module):
+    """How a step of a run in modes is tried, and what becomes of it.
+
+    Attributes:
+        motion: Rates, events and changes.
+        times: Output times [s].
+        landings: Where steps have to end.
+        reach: Of the body, from its origin [m]; None where nothing lands.
+        rtol: Relative tolerance of a step [1].
+        atol: Absolute tolerance [unit of the state].
+        order: That the error estimate counts on.
+        allowed: ``allowed(scene, t, state)`` -> whether a step may end there.
+    """
+
+    motion: Motion
+    times: Array
+    landings: Landings
+    reach: Array | None
+    rtol: Array
+    atol: Array
+    order: int
+    allowed: Allowed | None = eqx.field(static=True)
+
+    def tried(self, c: Run) -> Tried:
+        """One step: to the next landing, to where an event may be, or as proposed."""
+        at = c.place
+        goal = self.landings.ends[c.landing]
+        lands = ~c.searching & (goal - at.t <= c.step * (1.0 + 1e-9))
+        length = jnp.where(c.searching, c.bracket.trial, c.step)
+        t1 = jnp.where(lands, goal, at.t + length)
+        end = self.motion.stepped(at.mode, at.direction, at.t, t1, at.y, True)
+        size = jnp.sqrt(jnp.mean((end.error / self.tolerated(at.y, end.y)) ** 2))
+        doubt = self.looked_at(c, t1, end, size <= 1.0)
+        return Tried(t1, end, size, lands, doubt)
+
+    def tolerated(self, a: HybridState, b: HybridState) -> Array:
+        """Error that a step may have [unit of the state].
+
+        Of a slip no more than its share, so that its direction is known until it ends:
+        derivatives by it would otherwise miss what friction does across it, last.
+        """
+        known = unpack(self.atol, a)
+        of_slip = jnp.minimum(known.slip, np.finfo(known.slip.dtype).eps)
+        atol = eqx.tree_at(lambda y: y.slip, known, of_slip)
+        larger: Callable[[Array, Array], Array] = lambda x, y: jnp.maximum(
+            jnp.abs(x), jnp.abs(y)
+        )
+        size = jax.tree.map(larger, a, b)
+        whole = jnp.full_like(size.slip, jnp.max(size.slip))
+        size = eqx.tree_at(lambda y: y.slip, size, whole)
+        return pack(atol) + self.rtol * pack(size)
+
+    def looked_at(
+        self, c: Run, t1: Float[Array, ""], end: Step, good: Bool[Array, ""]
+    ) -> Doubt:
+        """Whether an event may hide in a step."""
+        motion, at = self.motion, c.place
+        flies = at.mode == Mode.FLYING
+        least = jnp.min(end.values / _scale(c.values))
+        quiet = good & (least >= -_ROOT) & (c.cuts < _CUTS)
+        last = motion.tableau.nodes.shape[0] - 1
+        one = jnp.ones_like(t1)
+        clear = Doubt(jnp.asarray(False), one, jnp.inf * one)
+        stages = end.seen[: last + 1]
+        near = ~stays_positive(jnp.min(stages, axis=0), jnp.max(stages, axis=0))
+        closer = lambda: between(motion.nodes, end.seen, last)
+        doubt = cast(Doubt, jax.lax.cond(quiet & ~flies & near, closer, lambda: clear))
+        if not motion.lands:
+            return doubt
+        nodes, scene = motion.tableau.nodes, motion.scenes.flying
+        gap, reach = c.values[0], self.reach
+        assert reach is not None
+        fly = lambda: doubt_in_flight(scene, nodes, at, t1, end, gap, reach)
+        return cast(Doubt, jax.lax.cond(quiet & flies, fly, lambda: doubt))
+
+    def rate_of(self, at: Place, tried: Tried, kind: Int[Array, ""]) -> Array:
+        """About how fast an event's value changes at the end of a step."""
+        motion, end = self.motion, tried.end
+        last = motion.tableau.nodes.shape[0] - 1
+        rate = rate_at_end(end.seen, last)[kind] / (tried.t - at.t)
+        if not motion.lands:
+            return rate
+        opens = closing(motion.scenes.flying, tried.t, end.y.flying())[0]
+        return jnp.where(at.mode == Mode.FLYING, opens, rate)
+
+    def judged(self, c: Run, tried: Tried) -> Verdict:
+        """Whether the step stands, and whether it ends on an event."""
+        size, taken = tried.size, tried.t - c.place.t
+        # a few numbers of the clock: no shorter step can be made
+        tiny = 4.0 * np.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
+        share = tried.end.values / _scale(c.values)
+        least = jnp.min(share)
+        stands = self.stands(c.place, tried) & self.follows(c.place, tried.end)
+        size = jnp.where(stands, size, jnp.inf)
+        known = jnp.isfinite(least)
+        # an output right behind an event: too close for anything to happen between
+        blinks = tried.lands & (taken <= tiny) & (size <= 1.0)
+        negative = ~(least >= 0.0) & ~blinks
+        # where the contact ends, so does its grip: what counts is that it ends
+        kind = jnp.where(share[1] <= _TOGETHER, 1, jnp.argmin(share))
+        # right behind a change the values may be zero: a step that ends on a negative
+        # one was too long, unless it stays so: then the mode cannot even begin
+        behind = jnp.isnan(c.values[0]) & negative & known
+        at_once = behind & (size <= 1.0) & (0.2 * taken <= tiny)
+        early = behind & ~at_once
+        hides = tried.doubt.hides & ~blinks & known
+        good = (size <= 1.0) & (known | blinks) & ~behind & ~hides
+        begins = good & negative & ~c.searching
+        flies = c.place.mode == Mode.FLYING
+        value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
+        bracket = c.bracket.after(begins, taken, value, rate, flies)
+        closed = bracket.high - bracket.low <= tiny
+        off = jnp.abs(bracket.off)
+        # no closer: rounding is what is left of the value
+        stays = jnp.abs(value) >= jnp.abs(c.bracket.value)
+        stays &= off <= _STAYS * (1.0 + jnp.abs(tried.t))
+        exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
+        found = c.searching & known & ~hides & exact
+        turned = found & self.has_turned(c.place, tried.end, kind)
+        event = (found & ~turned) | at_once
+        accept = (good & ~negative & ~c.searching) | event | turned
+        step = self.next_step(c, tried, size, early | ~known)
+        step = jnp.minimum(step, tried.doubt.next * taken)
+        step = jnp.where(c.searching | begins, c.step, step)
+        # what hides in a step is looked for in a shorter one
+        cut = jnp.clip(tried.doubt.share, 0.1, 0.9) * taken
+        step = jnp.where(hides, cut, step)
+        step = jnp.where(at_once, 1e6 * tiny, step)
+        step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
+        settles = self.while_it_turns(c.place, tried.end)
+        step = jnp.where(accept & ~event, jnp.minimum(step, settles), step)
+        stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
+        searching = (begins | c.searching) & ~event & ~turned & ~hides
+        cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
+        return Verdict(accept, event, kind, searching, bracket, step, cuts, stuck)
+
+    def next_step(
+        self, c: Run, tried: Tried, size: Float[Array, ""], early: Bool[Array, ""]
+    ) -> Array:
+        """An integral controller with diffrax's margin and lower limit.
+
+        It grows by five at most: behind a change the step before it says little.
+        """
+        factor = 0.9 * jnp.maximum(size, 1e-10) ** (-1.0 / self.order)
+        factor = jnp.clip(factor, 0.2, 5.0)
+        factor = jnp.where(jnp.isnan(size) | early, 0.2, factor)
+        return (tried.t - c.place.t) * factor
+
+    def has_turned(self, at: Place, end: Step, kind: Int[Array, ""]) -> Array:
+        """Whether a slip stands across its old direction without having ended."""
+        squared = dot(end.y.slip, end.y.slip)
+        turned = (squared > _ENDED_SLIP**2) & ~begins(at.direction)
+        return self.motion.ends_slip(at.mode, kind) & turned
+
+    def while_it_turns(self, at: Place, end: Step) -> Array:
+        """The longest step in which a slip's direction settles, and does not swing.
+
+        Friction turns it at a rate mu N / r, stiff where r is small. A straight slip
+        does not show it; what differs from it, its tangents, would grow with each step.
+        """
+        slip = jnp.sqrt(dot(end.y.slip, end.y.slip)) + SMALLEST_SLIP
+        turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
+        turns &= (slip > ONSET) | ~begins(at.direction)
+        turn = jnp.where(turns, end.turn, 1.0)
+        return jnp.where(turns, _SETTLES * slip / turn, jnp.inf)
+
+    def follows(self, at: Place, end: Step) -> Array:
+        """Whether a slip that begins is not yet far too fast to be one."""
+        fast = dot(end.y.slip, end.y.slip) > (2.0 * ONSET) ** 2
+        return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
+
+    def stands(self, at: Place, tried: Tried) -> Array:
+        """Whether no normal passed where its contact jumps, nor the body its base."""
+        scene, stands = self.motion.scenes.rolling, jnp.asarray(True)
+        y = tried.end.y
+        if watches_headings(scene):
+            ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)
+            for a, b in zip(*ends, strict=True):
+                stands &= dot(a, b) > 0.0
+            stands |= at.mode == Mode.FLYING
+        if self.allowed is None:
+            return stands
+        return stands & as_it_is(self.allowed, scene, tried.t, at.mode, y)
+
+
+def _scale(values: Array) -> Array:
+    """What the events' values are measured by: what they were, if that is known."""
+    return jnp.where(values > 0.0, values, 1.0)
+
+
+def as_it_is(
+    function: Callable[[Scene, Array, Any], Array],
+    scene: Scene,
+    t: Float[Array, ""],
+    mode: Int[Array, ""],
+    y: HybridState,
+) -> Array:
+    """``function(scene, t, state)`` of the state as it flies, or as it touches."""
+    flying = lambda: function(scene, t, y.flying())
+    touching = lambda: function(scene, t, y.rolling())
+    return cast(Array, jax.lax.cond(mode == Mode.FLYING, flying, touching))

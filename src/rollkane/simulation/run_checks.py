@@ -1,0 +1,101 @@
+"""What a run is refused for: a law, a start or times that do not fit its scene."""
+
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.rolling_problem import has_margin
+from ..dynamics.scene import Rolling, Scene
+from ..hybrid.modes import Modes
+from ..kinematics.coordinates import FlyingState, SlidingState, State
+from ..kinematics.voronets import VoronetsState
+from ..validation.checks import FieldError, is_traced
+
+
+def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
+    """The paper's equations and coordinates are those of rolling alone."""
+    alone = type(scene.contact) is Rolling and not has_margin(scene)
+    for field, value, general in (
+        ("simulate.formulation", formulation, "rolling"),
+        ("simulate.coordinates", coordinates, "pole-free"),
+    ):
+        if value != general and not alone:
+            raise FieldError(
+                field,
+                value,
+                "has rolling without slipping only, and no dry resistance",
+                f'use "{general}", or Rolling() without dry resistance',
+            )
+
+
+def check_modes(start: object, modes: object) -> None:
+    """Refuse modes, or a start, that no run through changes can have."""
+    if not isinstance(modes, Modes):
+        raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
+    known = State, SlidingState, FlyingState
+    if not isinstance(start, known):
+        remedy = "make it with rollkane.place or rollkane.release"
+        raise FieldError("simulate.start", start, "must be a State", remedy)
+    if isinstance(start, SlidingState) and modes.friction is None:
+        raise FieldError(
+            "Modes.friction", None, "is missing for a start that slips", "give it"
+        )
+
+
+def check_start(scene: Scene, start: object) -> None:
+    """Refuse a start that does not belong to the scene."""
+    if not isinstance(start, (State, VoronetsState)):
+        raise FieldError(
+            "simulate.start", start, "must be a State", "make it with rollkane.place"
+        )
+    slips = scene.contact.slips
+    if slips != start.slips:
+        raise FieldError(
+            "simulate.start",
+            start,
+            f"is no state of a body that {'slips' if slips else 'rolls'}",
+            "place the body in this scene",
+        )
+    body, base = scene.body.surface, scene.base.surface
+    shapes: dict[str, tuple[int, ...]] = {
+        "angular_velocity": (3,),
+        "alpha": (scene.coordinate_count,),
+        "alpha_dot": (scene.coordinate_count,),
+    }
+    if isinstance(start, VoronetsState):
+        shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
+    else:
+        carried = body.coordinate_count if scene.has_contact_coordinates else 0
+        shapes |= {
+            "orientation": (4,),
+            "contact_on_base": (base.coordinate_count,),
+            "contact_on_body": (carried,),
+        }
+    for field, wanted in shapes.items():
+        shape = getattr(start, field).shape
+        if shape != wanted:
+            raise FieldError(
+                f"simulate.start.{field}",
+                shape,
+                f"must have shape {wanted} in this scene",
+                "place the body in this scene (a batch of starts needs jax.vmap)",
+            )
+
+
+def check_span(scene: Scene, times: Any) -> None:
+    """Refuse times at which the base's motion is not known."""
+    motion = scene.base.motion
+    span = None if motion is None else motion.span
+    if span is None or is_traced(times, span):
+        return
+    first, last = float(span[0]), float(span[1])
+    slack = 1e-9 * (last - first)
+    least, most = float(np.min(times)), float(np.max(times))
+    if least < first - slack or most > last + slack:
+        raise FieldError(
+            "simulate.times",
+            (least, most),
+            f"leave the record of Base.motion, which is known from {first:g} to "
+            f"{last:g} s",
+            "stay within it, or add samples (of zero, for a base that coasts on)",
+        )
