@@ -17,6 +17,7 @@ FOLDERS = [
     "hybrid",
     "simulation",
     "kane",
+    "identification",
     "studies",
     "files",
     "pictures",

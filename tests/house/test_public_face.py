@@ -13,6 +13,21 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "Accelerometer",
+    "ContactPath",
+    "Gyro",
+    "Marker",
+    "NormalForce",
+    "Observed",
+    "Orientation",
+    "Position",
+    "Fit",
+    "fit",
+    "Identifiability",
+    "identifiability",
+    "Free",
+    "Tied",
+    "Record",
     "Accelerogram",
     "BaseMotion",
     "PaperQuantities",

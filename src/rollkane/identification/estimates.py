@@ -1,0 +1,187 @@
+"""What a fit found: estimates, errors and residuals."""
+
+import dataclasses
+from typing import Any, Self
+
+import numpy as np
+
+from ..dynamics.scene import Scene
+from . import uncertainty
+from .experiments import Problem
+from .horizons import Search, Stage
+from .layout import Coordinates, Layout
+from .least_squares import Evaluation
+from .unseen import described
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Estimates:
+    """Estimates from records, and what is known about them.
+
+    Attributes:
+        estimates: By path, each in the parameter's shape [its unit]; own ones of several records
+            are stacked along a first axis.
+        standard_errors: Likewise; infinite for what the records do not show.
+        names: Of the numbers that covariance and correlation are of.
+        covariance: From ``J^T J``, of what is seen, shape (n, n).
+        correlation: Shape (n, n).
+        chi2: Sum of squared misfits over deviations, priors included.
+        degrees_of_freedom: Samples (and priors) minus coordinates that are seen.
+        residuals: Misfits over deviations by channel (of several records, a list), NaN
+            where no sample is.
+        sigma: Standard deviations by channel [unit of its values], estimated where none
+            was given.
+        unseen: What the records cannot tell, in words.
+        rollouts: Runs that were made, each with its derivatives.
+        failed: How many tried points had runs that did not reach their end.
+        converged: Whether no step promised more.
+        stages: Horizons that were fitted.
+        minima: Distinct minima of several starts: chi2 and how many ended there.
+        scene: The model with the estimates.
+        start: The start with them; of several records, a list.
+        record: The record or records with estimated channels.
+        loss: Of the misfits.
+        problem: The least-squares problem, for more of it.
+        search: How it was solved.
+    """
+
+    estimates: dict[str, np.ndarray]
+    standard_errors: dict[str, np.ndarray]
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    correlation: np.ndarray
+    chi2: float
+    degrees_of_freedom: int
+    residuals: Any
+    sigma: Any
+    unseen: tuple[str, ...]
+    rollouts: int
+    failed: int
+    converged: bool
+    stages: tuple[Stage, ...]
+    minima: tuple[tuple[float, int], ...]
+    scene: Scene
+    start: Any
+    record: Any
+    loss: str
+    problem: Problem = dataclasses.field(repr=False)
+    search: Search = dataclasses.field(repr=False)
+
+    @classmethod
+    def of(
+        cls, problem: Problem, best: Search, searches: list[Search], loss: str
+    ) -> Self:
+        """The result of a search."""
+        layout, found = problem.layout, best.minimum
+        z, at = found.z, found.at
+        known = uncertainty.coordinate_covariance(at, layout, z)
+        covariance = uncertainty.named_covariance(layout, z, known)
+        unseen = uncertainty.unseen_directions(at, layout)
+        spread = np.sqrt(np.diag(covariance))
+        apart = np.where(spread > 0.0, spread, 1.0)
+        residuals = problem.channel_misfits(z)
+        models = [layout.model(k, z) for k in range(len(problem.records))]
+        several = len(models) > 1
+        every = lambda parts: list(parts) if several else parts[0]
+        return cls(
+            estimates=layout.by_path(lambda e: e.value(z)),
+            standard_errors=expected_errors(problem, at, z),
+            names=uncertainty.names_of(layout),
+            covariance=covariance,
+            correlation=covariance / np.outer(apart, apart),
+            chi2=float(np.sum(at.residual**2)),
+            degrees_of_freedom=problem.samples()
+            + _priors(layout)
+            - (layout.size - len(unseen)),
+            residuals=every(residuals),
+            sigma=every(problem.sigmas()),
+            unseen=described(unseen, layout, z),
+            rollouts=problem.rollouts,
+            failed=sum(s.minimum.failed for s in searches),
+            converged=found.converged,
+            stages=tuple(best.stages),
+            minima=_minima(searches),
+            scene=models[0].scene,
+            start=every([m.start for m in models]),
+            record=every(problem.records),
+            loss=loss,
+            problem=problem,
+            search=best,
+        )
+
+    @property
+    def iterates(self) -> list[dict[str, np.ndarray]]:
+        """Estimates at every accepted point of the search, in order."""
+        layout = self.problem.layout
+        return [
+            layout.by_path(lambda e, z=z: e.value(z)) for z in self.search.minimum.path
+        ]
+
+    def predicted(self) -> Any:
+        """What the fit predicts for the samples, by channel, as they were measured.
+
+        Of several records a list.
+        """
+        found = [
+            {
+                name: np.asarray(c.values) - _unscaled(c, misfits[name])
+                for g in groups
+                for name, c in g.channels.items()
+                if c.noise_columns() == c.values.shape[1]
+            }
+            for groups, misfits in zip(
+                self.problem.groups,
+                self.problem.channel_misfits(self.search.minimum.z),
+                strict=True,
+            )
+        ]
+        return found if len(found) > 1 else found[0]
+
+
+def _unscaled(channel: Any, misfit: np.ndarray) -> np.ndarray:
+    return misfit * np.asarray(channel.sigma)
+
+
+def expected_errors(
+    problem: Problem, at: Evaluation, z: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Standard errors by path, infinite for what is not seen."""
+    layout = problem.layout
+    known = uncertainty.coordinate_covariance(at, layout, z)
+    unseen = uncertainty.unseen_directions(at, layout)
+    return layout.by_path(lambda e: _standard_errors(e, z, known, unseen))
+
+
+def _standard_errors(
+    entry: Coordinates, z: np.ndarray, known: np.ndarray, unseen: np.ndarray
+) -> np.ndarray:
+    """Of a parameter's entries; infinite where an unseen direction changes them."""
+    rows = uncertainty.slope(entry, z)
+    own = known[entry.where, entry.where]
+    errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", rows, own, rows), 0.0))
+    if unseen.size:
+        away = np.abs(rows @ unseen[:, entry.where].T).max(axis=1)
+        size = np.abs(rows).max(initial=0.0) * np.abs(unseen).max()
+        errors = np.where(away > 1e-6 * size, np.inf, errors)
+    return errors.reshape(entry.value(z).shape)
+
+
+def _priors(layout: Layout) -> int:
+    """Numbers that priors are of."""
+    return sum(
+        uncertainty.slope(e, layout.start).shape[0]
+        for e in layout.entries
+        if e.free.prior is not None
+    )
+
+
+def _minima(searches: list[Search]) -> tuple[tuple[float, int], ...]:
+    """Distinct costs, twice, and how many searches ended there."""
+    found: list[tuple[float, int]] = []
+    for search in sorted(searches, key=lambda s: s.minimum.cost):
+        chi2 = 2.0 * search.minimum.cost
+        if found and chi2 - found[-1][0] < 1e-2 + 1e-6 * abs(chi2):
+            found[-1] = found[-1][0], found[-1][1] + 1
+        else:
+            found.append((chi2, 1))
+    return tuple(found)

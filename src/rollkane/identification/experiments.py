@@ -1,0 +1,235 @@
+"""All records of a fit as one least-squares problem in the fit's coordinates."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..dynamics.scene import Scene
+from ..hybrid.modes import Modes
+from ..kinematics.coordinates import State
+from ..validation.codes import Code
+from .layout import Coordinates, Layout
+from .least_squares import Evaluation
+from .parameters import Free, Model, Tied
+from .records import Record
+from .residuals import Group, Options, grouped, linearized, within
+from .transforms import AbstractTransform
+
+# Of a channel without sigma, before a fit has seen its misfits: this share of its size.
+_GUESSED_NOISE = 0.01
+
+
+class Problem:
+    """Misfits of all records by the fit's coordinates.
+
+    Attributes:
+        layout: Free parameters.
+        records: What was measured.
+        deviations: Of channels without sigma, by record and name.
+        rollouts: Runs that were made.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        starts: Sequence[State],
+        records: Sequence[Record],
+        free: tuple[Free | Tied, ...],
+        modes: Modes | None,
+        options: Options,
+    ):
+        """Find the parameters in the scene, the starts and the records."""
+        self.records = list(records)
+        self.free, self.options = free, options
+        pairs = zip(starts, records, strict=True)
+        models = [Model(scene, start, modes, r.channels) for start, r in pairs]
+        self.layout = Layout(models, free)
+        self.deviations = [
+            {
+                name: _GUESSED_NOISE * np.full(c.noise_columns(), _size(c.values))
+                for name, c in record.channels.items()
+                if c.sigma is None
+            }
+            for record in records
+        ]
+        self.rollouts = 0
+        self._group()
+
+    def _group(self) -> None:
+        self.groups = [
+            grouped(record, self.free, deviations)
+            for record, deviations in zip(self.records, self.deviations, strict=True)
+        ]
+
+    def with_noise_of(self, z: np.ndarray) -> bool:
+        """Take the deviations of channels without sigma from the misfits at z.
+
+        Returns:
+            Whether any of them changed by more than a hundredth.
+        """
+        changed = False
+        for record, per_channel in enumerate(self.channel_misfits(z)):
+            for name, misfit in per_channel.items():
+                if name in self.deviations[record]:
+                    old = self.deviations[record][name]
+                    sampled = np.isfinite(misfit)
+                    counts = np.maximum(sampled.sum(axis=0), 1)
+                    mean = np.sum(np.where(sampled, misfit, 0.0) ** 2, axis=0) / counts
+                    new = old * np.sqrt(mean)
+                    # a record without noise: not below the runs' own accuracy
+                    new = np.maximum(
+                        new, 1e-9 * _size(self.records[record].channels[name].values)
+                    )
+                    changed |= bool(np.any(np.abs(new / old - 1.0) > 0.01))
+                    self.deviations[record][name] = new
+        if changed:
+            self._group()
+        return changed
+
+    @property
+    def span(self) -> float:
+        """Length of the longest record [s]."""
+        return max(float(r.time[-1] - r.start_time) for r in self.records)
+
+    def evaluate(self, z: np.ndarray, horizon: float = np.inf) -> Evaluation:
+        """Misfits up to a horizon after each start, priors after them."""
+        residuals: list[np.ndarray] = []
+        jacobians: list[np.ndarray] = []
+        failed = 0
+        for record in range(len(self.records)):
+            found, where, codes = self._linearized(record, z, horizon)
+            whole = np.zeros((found[0].size, self.layout.size))
+            whole[:, where] = found[1]
+            residuals.append(found[0])
+            jacobians.append(whole)
+            failed += int(np.any(codes != Code.COMPLETED))
+        for entry in self.layout.entries:
+            if entry.free.prior is not None:
+                value, slope = _prior(entry, z)
+                whole = np.zeros((value.size, self.layout.size))
+                whole[:, entry.where] = slope
+                residuals.append(value)
+                jacobians.append(whole)
+        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), failed)
+
+    def _linearized(
+        self, record: int, z: np.ndarray, horizon: float
+    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+        slots, where = self.layout.of_record(record)
+        one = self.records[record]
+        groups, counts = within(self.groups[record], float(one.start_time) + horizon)
+        self.rollouts += len(groups)
+        found = linearized(
+            slots,
+            self.layout.models[record],
+            groups,
+            counts,
+            one.start_time,
+            self.options,
+            jnp.asarray(z[where]),
+        )
+        parts = found.misfit, found.jacobian, found.counted
+        misfit, jacobian, counted = (np.asarray(x) for x in parts)
+        return (misfit, jacobian, counted), where, np.asarray(found.codes)
+
+    def samples(self, horizon: float = np.inf) -> int:
+        """Numbers that were measured up to a horizon."""
+        return int(sum(np.sum(c) for c in self._sampled(horizon)))
+
+    def _sampled(self, horizon: float) -> list[np.ndarray]:
+        found: list[np.ndarray] = []
+        for record, groups in zip(self.records, self.groups, strict=True):
+            _, counts = within(groups, float(record.start_time) + horizon)
+            for group, count in zip(groups, counts, strict=True):
+                for channel in group.channels.values():
+                    sampled = ~np.isnan(np.asarray(channel.values))
+                    if channel.noise_columns() != sampled.shape[1]:
+                        sampled = np.repeat(
+                            sampled.all(axis=1, keepdims=True),
+                            channel.noise_columns(),
+                            1,
+                        )
+                    found.append(sampled & np.asarray(count)[:, None])
+        return found
+
+    def channel_misfits(self, z: np.ndarray) -> list[dict[str, np.ndarray]]:
+        """Misfits over their deviations by record and channel, NaN where none is."""
+        found: list[dict[str, np.ndarray]] = []
+        for record in range(len(self.records)):
+            (misfit, _, counted), _, _ = self._linearized(record, z, np.inf)
+            whole = np.where(counted, misfit, np.nan)
+            found.append(_split(whole, self.groups[record]))
+        return found
+
+    def sizes(self) -> list[dict[str, np.ndarray]]:
+        """Samples over their deviations, without their mean, by record and channel."""
+        found: list[dict[str, np.ndarray]] = []
+        for groups in self.groups:
+            own: dict[str, np.ndarray] = {}
+            for group in groups:
+                for name, channel in group.channels.items():
+                    values = np.asarray(channel.values)
+                    apart = values - np.nanmean(values, axis=0)
+                    own[name] = apart / np.mean(np.asarray(channel.sigma))
+            found.append(own)
+        return found
+
+    def sigmas(self) -> list[dict[str, np.ndarray]]:
+        """Standard deviations of the noise, by record and channel."""
+        return [
+            {
+                name: np.asarray(c.sigma)
+                for g in groups
+                for name, c in g.channels.items()
+            }
+            for groups in self.groups
+        ]
+
+    def times(self) -> list[dict[str, np.ndarray]]:
+        """Times of the samples that count, by record and channel [s]."""
+        return [
+            {name: np.asarray(g.time) for g in groups for name in g.channels}
+            for groups in self.groups
+        ]
+
+
+def _split(whole: np.ndarray, groups: tuple[Group, ...]) -> dict[str, np.ndarray]:
+    """Rows of a record by channel, in the shape of its misfits."""
+    found: dict[str, np.ndarray] = {}
+    first = 0
+    for group in groups:
+        for name, channel in group.channels.items():
+            shape = channel.values.shape[0], channel.noise_columns()
+            found[name] = whole[first : first + shape[0] * shape[1]].reshape(shape)
+            first += shape[0] * shape[1]
+    return found
+
+
+def _size(values: Array) -> float:
+    """Root of the mean square of samples; 1 where all are zero."""
+    size = float(np.sqrt(np.nanmean(np.asarray(values) ** 2)))
+    return size if size > 0.0 else 1.0
+
+
+@eqx.filter_jit
+def _prior_of(
+    transform: AbstractTransform, mean: Array, deviation: Array, z: Array
+) -> tuple[Array, Array]:
+    away = lambda z: jnp.ravel((transform.value(z) - mean) / deviation)
+    return away(z), jax.jacfwd(away)(z)
+
+
+def _prior(entry: Coordinates, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from a prior's mean over its deviation, and derivatives."""
+    assert entry.free.prior is not None
+    mean, deviation = (jnp.asarray(x, float) for x in entry.free.prior)
+    shape = np.shape(entry.transform.value(jnp.asarray(entry.transform.start())))
+    mean, deviation = (jnp.broadcast_to(x, shape) for x in (mean, deviation))
+    value, slope = _prior_of(
+        entry.transform, mean, deviation, jnp.asarray(z[entry.where])
+    )
+    return np.asarray(value), np.asarray(slope)

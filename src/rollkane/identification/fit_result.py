@@ -1,0 +1,81 @@
+"""The result of a fit: what it found, intervals, a report."""
+
+import dataclasses
+
+import numpy as np
+
+from ..validation.checks import FieldError
+from .estimates import Estimates
+from .profiles import linear_interval, profile_interval
+from .report import text_report
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fit(Estimates):
+    """Estimates from records, and what is known about them.
+
+    Attributes:
+        estimates: By path, each in the parameter's shape [its unit]; own ones of several records
+            are stacked along a first axis.
+        standard_errors: Likewise; infinite for what the records do not show.
+        names: Of the numbers that covariance and correlation are of.
+        covariance: From ``J^T J``, of what is seen, shape (n, n).
+        correlation: Shape (n, n).
+        chi2: Sum of squared misfits over deviations, priors included.
+        degrees_of_freedom: Samples (and priors) minus coordinates that are seen.
+        residuals: Misfits over deviations by channel (of several records, a list), NaN
+            where no sample is.
+        sigma: Standard deviations by channel [unit of its values], estimated where none
+            was given.
+        unseen: What the records cannot tell, in words.
+        rollouts: Runs that were made, each with its derivatives.
+        failed: How many tried points had runs that did not reach their end.
+        converged: Whether no step promised more.
+        stages: Horizons that were fitted.
+        minima: Distinct minima of several starts: chi2 and how many ended there.
+        scene: The model with the estimates.
+        start: The start with them; of several records, a list.
+        record: The record or records with estimated channels.
+        loss: Of the misfits.
+        problem: The least-squares problem, for more of it.
+        search: How it was solved.
+    """
+
+    def interval(
+        self, path: str, level: float = 0.95, method: str = "linear"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Confidence interval of every entry of a parameter.
+
+        Args:
+            path: One of the estimates'.
+            level: Its probability, between 0 and 1.
+            method: ``"linear"``: from the standard errors. ``"profile"``: where the
+                least chi2 with the entry held has risen by the level's quantile
+                (infinite where it does not rise so far).
+
+        Returns:
+            Lower and upper ends, in the parameter's shape.
+
+        Raises:
+            FieldError: an unknown path or method, a level out of range.
+        """
+        if path not in self.estimates:
+            remedy = f"use one of {tuple(self.estimates)}"
+            raise FieldError("Fit.interval.path", path, "was not fitted", remedy)
+        if not 0.0 < level < 1.0:
+            remedy = "give a probability, for example 0.95"
+            raise FieldError("Fit.interval.level", level, "is out of range", remedy)
+        if method == "linear":
+            return linear_interval(self, path, level)
+        if method == "profile":
+            return profile_interval(self, path, level)
+        remedy = 'use "linear" or "profile"'
+        raise FieldError("Fit.interval.method", method, "is not known", remedy)
+
+    def report(self) -> str:
+        """The fit in words and a table."""
+        return text_report(self)
+
+    def __str__(self) -> str:
+        """The report."""
+        return self.report()

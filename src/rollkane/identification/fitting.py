@@ -1,0 +1,151 @@
+"""Fit: parameters of a scene from records of its motion."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..dynamics.scene import Scene
+from ..hybrid.modes import Modes
+from ..kinematics.coordinates import State
+from ..validation.checks import FieldError, whole
+from .experiments import Problem
+from .fit_result import Fit
+from .horizons import Search, followed, progressive, single
+from .least_squares import Loss, loss_of
+from .parameters import Free, Tied
+from .records import Record
+from .residuals import Options, with_delay_bounds
+
+STRATEGIES = ("auto", "single", "progressive")
+_NOISE_ROUNDS = 4  # deviations that are estimated settle within
+
+
+def fit(
+    scene: Scene,
+    start: State | Sequence[State],
+    record: Record | Sequence[Record],
+    free: Free | Tied | Sequence[Free | Tied],
+    *,
+    modes: Modes | None = None,
+    loss: str = "linear",
+    strategy: str = "auto",
+    starts: int = 1,
+    spread: float = 0.1,
+    seed: int = 0,
+    rtol: float | None = None,
+    atol: float | None = None,
+    max_steps: int | None = None,
+    max_evaluations: int = 200,
+    method: str = "auto",
+) -> Fit:
+    """Parameters for which the motion agrees best with records of it.
+
+    Levenberg and Marquardt's method on exact derivatives. The model's own values are
+    the first guess. A run that cannot go on counts as misfit, and is counted.
+
+    Args:
+        scene: The model, with a guess for what is free.
+        start: State at each record's ``start_time``; of several records, a list.
+        record: What was measured, or a list of it.
+        free: Which parameters to find, with bounds and priors.
+        modes: How the contact may change in the runs.
+        loss: Of misfits: ``"linear"`` (least squares), ``"huber"``, ``"soft_l1"`` or
+            ``"cauchy"``, which weigh outliers less.
+        strategy: ``"single"``: over whole records at once. ``"progressive"``: over
+            growing horizons, for motions whose neighbours part. ``"auto"``: single
+            where the guess follows the records to their end, else progressive.
+        starts: How many guesses: the model's own, and random ones around it.
+        spread: Standard deviation of these, relative (absolute for angles [rad]).
+        seed: Of the random guesses.
+        rtol: Relative tolerance of the runs; see :func:`rollkane.simulate`.
+        atol: Absolute tolerance.
+        max_steps: Most steps of a run.
+        max_evaluations: Points tried by each search.
+        method: Of the runs: ``"auto"``, ``"native"`` or ``"diffrax"``.
+
+    Returns:
+        The estimates and what is known about them.
+
+    Raises:
+        FieldError: records, parameters, bounds or priors that do not fit each other.
+    """
+    states = list(start) if isinstance(start, (list, tuple)) else [start]
+    records = list(record) if isinstance(record, (list, tuple)) else [record]
+    chosen = tuple(free) if isinstance(free, (list, tuple)) else (free,)
+    problem = problem_of(
+        scene, states, records, chosen, modes, Options(rtol, atol, max_steps, method)
+    )
+    known = loss_of(loss)
+    if strategy not in STRATEGIES:
+        remedy = f"use one of {STRATEGIES}"
+        raise FieldError("fit.strategy", strategy, "is not known", remedy)
+    count = whole("fit.starts", starts, 1, "give how many guesses")
+    guesses = _guesses(problem, count, spread, seed)
+    z0 = guesses[0]
+    if not problem.evaluate(z0).usable:
+        problem_text = "gives no numbers: a run or its derivatives are not finite"
+        raise FieldError("fit.start", "...", problem_text, "begin nearer to the record")
+    searches = [
+        _search(problem, guess, known, strategy, max_evaluations) for guess in guesses
+    ]
+    best = min(searches, key=lambda s: s.minimum.cost)
+    if any(problem.deviations):
+        for _ in range(_NOISE_ROUNDS):
+            if not problem.with_noise_of(best.minimum.z):
+                break
+            again = single(problem, best.minimum.z, known, max_evaluations)
+            best = Search(again.minimum, best.stages + again.stages[-1:])
+    return Fit.of(problem, best, searches, loss)
+
+
+def problem_of(
+    scene: Scene,
+    starts: list[Any],
+    records: list[Any],
+    free: tuple[Any, ...],
+    modes: Modes | None,
+    options: Options,
+) -> Problem:
+    """The records as one least-squares problem, checked.
+
+    Raises:
+        FieldError: something that does not fit.
+    """
+    if not isinstance(scene, Scene):
+        raise FieldError("fit.scene", scene, "must be a Scene", "give a Scene")
+    for one in records:
+        if not isinstance(one, Record):
+            remedy = "make it with rollkane.Record or rollkane.read_record"
+            raise FieldError("fit.record", one, "must be a Record", remedy)
+    if len(starts) != len(records):
+        given = f"{len(starts)} starts, {len(records)} records"
+        remedy = "give one start for each record"
+        raise FieldError("fit.start", given, "do not fit each other", remedy)
+    for one in starts:
+        if not isinstance(one, State):
+            remedy = "make it with rollkane.place"
+            raise FieldError("fit.start", one, "must be a State", remedy)
+    bounded = with_delay_bounds(free, records)
+    return Problem(scene, starts, records, bounded, modes, options)
+
+
+def _search(
+    problem: Problem, z: np.ndarray, loss: Loss, strategy: str, most: int
+) -> Search:
+    far = strategy == "progressive"
+    if strategy == "auto":
+        far = followed(problem, z, least=0.0) < problem.span
+    return (progressive if far else single)(problem, z, loss, most)
+
+
+def _guesses(
+    problem: Problem, count: int, spread: float, seed: int
+) -> list[np.ndarray]:
+    layout = problem.layout
+    random = np.random.default_rng(seed)
+    found = [layout.start]
+    for _ in range(count - 1):
+        away = spread * layout.scale * random.standard_normal(layout.size)
+        found.append(np.clip(layout.start + away, layout.lower, layout.upper))
+    return found

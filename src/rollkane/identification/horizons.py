@@ -1,0 +1,167 @@
+"""Searches that reach as much of a record as the model already follows.
+
+A motion whose neighbours part cannot be fitted over its whole length from afar: the
+misfit has a minimum wherever the phases agree by a turn more or less. So the record is
+used to where the prediction leaves it, fitted, and used on from there.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from .experiments import Problem
+from .least_squares import Evaluation, Loss, Minimum, minimize
+
+# A prediction follows a record as long as its misfit is below this share of the
+# record's own variation (both as root mean squares up to there): an oscillation that is
+# out of phase by a fifth of a radian.
+_FOLLOWS = 0.2
+_SAMPLES = 3.0  # for each coordinate, at least
+_LONGER = 4.0  # most that a horizon grows by
+_FEW = 30  # points tried at one horizon: a longer one follows
+_GUESSES, _AROUND = 12, 0.2  # others that are tried, and their deviation [of the size]
+_WEAK = 1.0  # deviation of a coordinate [of its size] while the horizon is short
+
+
+class Stage(NamedTuple):
+    """A search up to one horizon.
+
+    Attributes:
+        horizon: [s] after the start.
+        chi2: Of the samples up to there.
+        samples: How many they are.
+    """
+
+    horizon: float
+    chi2: float
+    samples: int
+
+
+class Search(NamedTuple):
+    """What a search found, and how it went."""
+
+    minimum: Minimum
+    stages: list[Stage]
+
+
+def single(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Search:
+    """One search over the whole records."""
+    layout = problem.layout
+    found = minimize(problem.evaluate, z, *layout.box, loss, most)
+    return Search(found, [_stage(problem, found, np.inf)])
+
+
+def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Search:
+    """Searches up to growing horizons, each from what the last one found.
+
+    Where one ends in a minimum that the record leaves, others from around the first
+    guess are tried: a short horizon is cheap, and no longer one can mend it.
+    """
+    growth = _Growth(problem, loss, z)
+    horizon = followed(problem, z, least=_shortest(problem))
+    guesses = _GUESSES
+    while horizon < problem.span and growth.evaluations < most:
+        found = growth.searched(z, horizon)
+        while guesses and followed(problem, found.z, least=0.0) < horizon:
+            guesses -= 1
+            other = growth.searched(growth.guess(), horizon)
+            found = min(found, other, key=lambda m: m.cost)
+        z = found.z
+        growth.path.extend(found.path)
+        growth.stages.append(_stage(problem, found, horizon))
+        grown = followed(problem, z, least=1.25 * horizon)
+        horizon = min(grown, _LONGER * horizon)
+    last = minimize(problem.evaluate, z, *problem.layout.box, loss, most)
+    growth.stages.append(_stage(problem, last, np.inf))
+    whole = last._replace(
+        evaluations=growth.evaluations + last.evaluations,
+        failed=growth.failed + last.failed,
+        path=np.concatenate([np.array(growth.path).reshape(-1, z.size), last.path]),
+    )
+    return Search(whole, growth.stages)
+
+
+class _Growth:
+    """What searches up to growing horizons have in common, and how far they are."""
+
+    def __init__(self, problem: Problem, loss: Loss, first: np.ndarray):
+        self.problem, self.loss, self.first = problem, loss, first
+        self.random = np.random.default_rng(0)
+        self.stages: list[Stage] = []
+        self.path: list[np.ndarray] = []
+        self.evaluations = self.failed = 0
+
+    def searched(self, z: np.ndarray, horizon: float) -> Minimum:
+        """The minimum up to a horizon."""
+        held = _weakly_held(self.problem, z, horizon)
+        found = minimize(held, z, *self.problem.layout.box, self.loss, _FEW)
+        self.evaluations += found.evaluations
+        self.failed += found.failed
+        return found
+
+    def guess(self) -> np.ndarray:
+        """One near the first."""
+        layout = self.problem.layout
+        away = _AROUND * layout.scale * self.random.standard_normal(layout.size)
+        return np.clip(self.first + away, layout.lower, layout.upper)
+
+
+def followed(problem: Problem, z: np.ndarray, least: float) -> float:
+    """How long the prediction follows the records [s]; no less than ``least``."""
+    horizon = np.inf
+    parts = zip(
+        problem.records,
+        problem.times(),
+        problem.channel_misfits(z),
+        problem.sizes(),
+        strict=True,
+    )
+    for record, times, misfits, sizes in parts:
+        for name, misfit in misfits.items():
+            time = times[name] - float(record.start_time)
+            off = np.cumsum(np.nansum(misfit**2, axis=1))
+            size = np.cumsum(np.nansum(sizes[name] ** 2, axis=1))
+            # noise alone is no reason to stop
+            noise = np.cumsum(np.sum(np.isfinite(misfit), axis=1))
+            left = (off - 2.0 * noise > _FOLLOWS**2 * size) & (time > least)
+            if left.any():
+                horizon = min(horizon, float(time[np.argmax(left)]))
+    return horizon
+
+
+def _shortest(problem: Problem) -> float:
+    """The shortest horizon with enough samples for the coordinates [s]."""
+    wanted = _SAMPLES * problem.layout.size
+    times = [
+        np.sort(np.concatenate([t for t in own.values()])) - float(r.start_time)
+        for r, own in zip(problem.records, problem.times(), strict=True)
+    ]
+    for horizon in np.unique(np.concatenate(times)):
+        if problem.samples(float(horizon)) >= wanted:
+            return float(horizon)
+    return problem.span
+
+
+def _weakly_held(
+    problem: Problem, z0: np.ndarray, horizon: float
+) -> Callable[[np.ndarray], Evaluation]:
+    """Misfits up to a horizon, and a weak pull to where the search begins.
+
+    A short horizon may not show every coordinate; such ones stay.
+    """
+    scale = _WEAK * problem.layout.scale
+
+    def evaluate(z: np.ndarray) -> Evaluation:
+        at = problem.evaluate(z, horizon)
+        residual = np.concatenate([at.residual, (z - z0) / scale])
+        jacobian = np.concatenate([at.jacobian, np.diag(1.0 / scale)])
+        return Evaluation(residual, jacobian, at.failed)
+
+    return evaluate
+
+
+def _stage(problem: Problem, found: Minimum, horizon: float) -> Stage:
+    samples = problem.samples(horizon)
+    chi2 = float(np.sum(found.at.residual**2))
+    return Stage(min(horizon, problem.span), chi2, samples)

@@ -1,0 +1,301 @@
+"""The coordinates that a fit varies: of all records, and of each."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..validation.checks import FieldError
+from . import paths
+from .parameters import Free, Model, Slot, Slots, Tied, located, number_in
+from .transforms import (
+    FORMS,
+    AbstractTransform,
+    Plain,
+    Positive,
+    Rotated,
+    Scaled,
+    inertia_transform,
+)
+
+# Fields whose constructors ask for numbers above zero, by class ("": any class)
+_POSITIVE = {
+    ("", "mass"),
+    ("", "radius"),
+    ("", "major_radius"),
+    ("", "minor_radius"),
+    ("Ellipsoid", "semi_axes"),
+    ("StribeckFriction", "speed"),
+}
+# and those that may be zero, with the largest that they may be
+_NOT_NEGATIVE = {
+    ("Modes", "friction"): np.inf,
+    ("Modes", "static_friction"): np.inf,
+    ("Modes", "restitution"): 1.0,
+    ("StribeckFriction", "static"): np.inf,
+    ("StribeckFriction", "kinetic"): np.inf,
+    ("StribeckFriction", "viscous"): np.inf,
+    ("CoulombFriction", "coefficient"): np.inf,
+    ("ViscousFriction", "coefficient"): np.inf,
+    ("RollingResistance", "viscous"): np.inf,
+    ("RollingResistance", "dry"): np.inf,
+    ("SpinningResistance", "viscous"): np.inf,
+    ("SpinningResistance", "dry"): np.inf,
+    ("Drag", "linear"): np.inf,
+    ("Drag", "quadratic"): np.inf,
+    ("Drag", "angular"): np.inf,
+}
+
+
+class Coordinates(NamedTuple):
+    """One free parameter among the coordinates of a fit.
+
+    Attributes:
+        free: What was asked for.
+        record: Whose it is; None: of all.
+        transform: Its coordinates.
+        where: Which of the fit's coordinates they are.
+        lower: Bounds of them, shape (k,).
+        upper: Likewise.
+    """
+
+    free: Free
+    record: int | None
+    transform: AbstractTransform
+    where: slice
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Its path, with the record that it is of."""
+        return self.free.path + ("" if self.record is None else f" {{{self.record}}}")
+
+    def value(self, z: np.ndarray) -> np.ndarray:
+        """The parameter, at coordinates z of the fit."""
+        return np.asarray(self.transform.value(jnp.asarray(z[self.where])))
+
+    def shown(self, z: np.ndarray) -> np.ndarray:
+        """Its named numbers, at coordinates z of the fit."""
+        value = self.transform.value(jnp.asarray(z[self.where]))
+        return np.asarray(self.transform.shown(value))
+
+
+class Layout:
+    """Free parameters of a fit: of all records, and of each.
+
+    Attributes:
+        entries: Parameters in the order of their coordinates.
+        tied: Those that follow.
+        start: Coordinates of the start, shape (P,).
+        lower: Bounds, shape (P,).
+        upper: Likewise.
+        scale: Size of each, shape (P,).
+    """
+
+    def __init__(self, models: Sequence[Model], free: Sequence[Free | Tied]):
+        """Find the parameters in the models.
+
+        Raises:
+            FieldError: paths that lead nowhere, a parameter named twice, bounds or
+                priors that do not fit.
+        """
+        wanted = [f for f in free if isinstance(f, Free)]
+        self.tied = [f for f in free if isinstance(f, Tied)]
+        if not wanted or len(wanted) + len(self.tied) != len(free):
+            remedy = 'give rollkane.Free("body.inertia"), or several of them'
+            raise FieldError("free", free, "must hold parameters", remedy)
+        named = [f.path for f in free]
+        for path in named:
+            if named.count(path) > 1:
+                remedy = "name it once"
+                raise FieldError("Free.path", path, "is there twice", remedy)
+        self.models = list(models)
+        self.entries: list[Coordinates] = []
+        for one in wanted:
+            of_start = one.path.split(".")[0] == "start"
+            own = of_start if one.shared is None else not one.shared
+            several = own and len(models) > 1
+            for record in range(len(models)) if several else (None,):
+                self._add(one, record)
+        for tie in self.tied:
+            _array_at(self.models[0], tie.path)
+        join = lambda parts: np.concatenate([np.atleast_1d(p) for p in parts])
+        self.start = join([e.transform.start() for e in self.entries])
+        self.lower = join([e.lower for e in self.entries])
+        self.upper = join([e.upper for e in self.entries])
+        self.scale = join([e.transform.scale() for e in self.entries])
+
+    def _add(self, free: Free, record: int | None) -> None:
+        model = self.models[record or 0]
+        keys, value = _array_at(model, free.path)
+        transform = _transform(free, model, keys, value)
+        first = self.entries[-1].where.stop if self.entries else 0
+        size = transform.start().size
+        where = slice(first, first + size)
+        lower, upper = _bounds(free, model, keys, transform)
+        _check_prior(free, value)
+        entry = Coordinates(free, record, transform, where, lower, upper)
+        self.entries.append(entry)
+
+    @property
+    def box(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Lower and upper bounds, and sizes, of all coordinates."""
+        return self.lower, self.upper, self.scale
+
+    @property
+    def size(self) -> int:
+        """Number P of coordinates."""
+        return self.start.size
+
+    def of_record(self, record: int) -> tuple[Slots, np.ndarray]:
+        """Parameters that a record depends on, and which coordinates are theirs."""
+        slots: list[Slot] = []
+        where: list[int] = []
+        for entry in self.entries:
+            if entry.record in (None, record):
+                keys = located(entry.free.path, self.models[record].channels)
+                size = entry.where.stop - entry.where.start
+                place = entry.free.path, keys, entry.transform, len(where), size
+                slots.append(Slot(*place))
+                where += range(entry.where.start, entry.where.stop)
+        channels = self.models[record].channels
+        tied = [(t.path, located(t.path, channels), t.value) for t in self.tied]
+        return Slots(tuple(slots), tuple(tied)), np.array(where)
+
+    def model(self, record: int, z: np.ndarray) -> Model:
+        """A record's model at coordinates z of the fit."""
+        slots, where = self.of_record(record)
+        return slots.applied(self.models[record], jnp.asarray(z[where]))
+
+    def by_path(self, of: Callable[[Coordinates], np.ndarray]) -> dict[str, np.ndarray]:
+        """Something of every parameter; of several records' own ones, stacked."""
+        found: dict[str, list[np.ndarray]] = {}
+        for entry in self.entries:
+            found.setdefault(entry.free.path, []).append(of(entry))
+        own = {e.free.path for e in self.entries if e.record is not None}
+        return {p: np.stack(v) if p in own else v[0] for p, v in found.items()}
+
+
+def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
+    """Keys and number of a path."""
+    keys = located(path, model.channels)
+    try:
+        value = number_in(model, keys)
+    except LookupError:
+        value = None
+    if not isinstance(value, (jax.Array, np.ndarray)) or not np.issubdtype(
+        value.dtype, np.floating
+    ):
+        raise paths.unknown(path, known_paths(model))
+    return keys, value
+
+
+def known_paths(model: Model) -> list[str]:
+    """Paths of all numbers that can be free."""
+    parts = [*paths.floats(model.scene), *paths.floats(model.start, "start")]
+    if model.modes is not None:
+        parts += paths.floats(model.modes, "modes")
+    for name, channel in model.channels.items():
+        held = paths.floats(channel, name)
+        parts += [p for p in held if not p.endswith((".values", ".sigma"))]
+    return parts
+
+
+def _kind(model: Model, keys: paths.Keys) -> tuple[str, str]:
+    """Class that holds a number, and the number's name there."""
+    keys = keys[:-1] if isinstance(keys[-1], int) else keys
+    return type(number_in(model, keys[:-1])).__name__, str(keys[-1])
+
+
+def _is_positive(kind: tuple[str, str]) -> bool:
+    return kind in _POSITIVE or ("", kind[1]) in _POSITIVE
+
+
+def _transform(
+    free: Free, model: Model, keys: paths.Keys, value: Array
+) -> AbstractTransform:
+    field = f"Free({free.path!r})"
+    if free.form is not None and free.form not in FORMS:
+        raise FieldError(
+            f"{field}.form", free.form, "is not known", f"use one of {FORMS}"
+        )
+    value, kind = jnp.asarray(value), _kind(model, keys)
+    if free.form == "scale":
+        if not np.any(np.asarray(value)):
+            raise FieldError(field, value, "is zero and has no scale", "leave form out")
+        return Scaled(value)
+    if kind[1] == "inertia" and value.shape == (3, 3):
+        return inertia_transform(field, value, free.form)
+    if free.form == "diagonal":
+        raise FieldError(f"{field}.form", free.form, "is of inertias", "leave it out")
+    if kind[1] == "orientation" and value.shape == (4,):
+        return Rotated(value)
+    if _is_positive(kind):
+        if not np.all(np.asarray(value) > 0.0):
+            raise FieldError(field, value, "must start above zero", "give it a guess")
+        return Positive(value)
+    return Plain(value)
+
+
+def _bounds(
+    free: Free, model: Model, keys: paths.Keys, transform: AbstractTransform
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds in coordinates: those that were given, and those that physics has."""
+    start = transform.start()
+    field = f"Free({free.path!r}).bounds"
+    low, high = -np.inf, np.inf
+    kind = _kind(model, keys)
+    if isinstance(transform, Plain) and kind in _NOT_NEGATIVE:
+        low, high = 0.0, _NOT_NEGATIVE[kind]
+    if keys[0] == "channels" and keys[-1] == "delay":
+        low, high = 0.0, np.inf
+    if free.bounds is not None:
+        if not isinstance(transform, (Plain, Positive)):
+            remedy = "leave them out: its coordinates keep it physical; or give a prior"
+            raise FieldError(field, free.bounds, "are for plain numbers", remedy)
+        given = [
+            other if x is None else x
+            for x, other in zip(free.bounds, (low, high), strict=True)
+        ]
+        low, high = given
+    shape = np.shape(transform.value(jnp.asarray(start)))
+    try:
+        lower, upper = (
+            np.ravel(np.broadcast_to(np.asarray(x, float), shape)) for x in (low, high)
+        )
+    except (TypeError, ValueError) as error:
+        remedy = f"give (least, largest), numbers or arrays of shape {shape}"
+        raise FieldError(field, free.bounds, "do not fit", remedy) from error
+    value = np.ravel(np.asarray(transform.value(jnp.asarray(start))))
+    slack = 1e-12 * np.abs(value)
+    if not np.all(lower < upper):
+        raise FieldError(field, free.bounds, "must be (least, largest)", "order them")
+    if isinstance(transform, (Plain, Positive)) and not np.all(
+        (lower <= value + slack) & (value - slack <= upper)
+    ):
+        problem = f"do not hold the start, {value.tolist()}"
+        raise FieldError(field, free.bounds, problem, "widen them, or move the start")
+    if isinstance(transform, Positive):
+        with np.errstate(divide="ignore"):
+            return np.log(np.maximum(lower, 0.0)), np.log(upper)
+    if isinstance(transform, Plain):
+        return lower, upper
+    return np.full_like(start, -np.inf), np.full_like(start, np.inf)
+
+
+def _check_prior(free: Free, value: Array) -> None:
+    if free.prior is None:
+        return
+    field, remedy = f"Free({free.path!r}).prior", "give (mean, standard deviation)"
+    try:
+        mean, deviation = free.prior
+        np.broadcast_to(np.asarray(mean, float), np.shape(value))
+        known = np.broadcast_to(np.asarray(deviation, float), np.shape(value))
+    except (TypeError, ValueError) as error:
+        raise FieldError(field, free.prior, "does not fit", remedy) from error
+    if not np.all((known > 0.0) & (known < np.inf)):
+        raise FieldError(field, free.prior, "must have a positive deviation", remedy)

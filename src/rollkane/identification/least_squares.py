@@ -1,0 +1,211 @@
+"""Levenberg and Marquardt's method, scaled, with bounds and robust losses.
+
+Columns are scaled by their largest norm so far (Moré, 1978), so that units do not
+matter. The damping is raised until no coordinate moves by more than a reach that grows
+with success: where a record hardly shows a coordinate, the linear model would send it
+far away. A coordinate on its bound is left out as long as the descent leads out of it
+(and so a start on a bound does not stall); steps are cut to the box, and judged by what
+the linear model says of the cut step.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..validation.checks import FieldError
+
+# Least fall of twice the cost that is waited for: chi-square changes by 1 within one
+# standard deviation, so that 1e-6 of it is 1e-3 of a standard deviation.
+_LEAST_FALL = 1e-6
+_LEAST_SHARE = 1e-12  # of the cost: rounding of a sum of squares
+_FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e12
+# Longest first step, relative to the coordinates' sizes: within it a model that is off
+# by as much is linear enough; it grows where the linear model proves right.
+_FIRST_REACH = 0.3
+
+
+class Evaluation(NamedTuple):
+    """Residuals at a point.
+
+    Attributes:
+        residual: Over their deviations, shape (N,), finite.
+        jacobian: Shape (N, P).
+        failed: Runs that did not reach their end.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    failed: int
+
+    @property
+    def usable(self) -> bool:
+        """Whether all numbers are finite."""
+        return bool(
+            np.isfinite(self.residual).all() and np.isfinite(self.jacobian).all()
+        )
+
+
+class Minimum(NamedTuple):
+    """Where a search ended.
+
+    Attributes:
+        z: Coordinates, shape (P,).
+        at: Residuals there.
+        cost: Half of the sum of losses.
+        evaluations: How many points were tried.
+        failed: How many of them had runs that did not reach their end, or no numbers.
+        converged: Whether no step promised more.
+        path: Accepted points, shape (K, P).
+    """
+
+    z: np.ndarray
+    at: Evaluation
+    cost: float
+    evaluations: int
+    failed: int
+    converged: bool
+    path: np.ndarray
+
+
+class Loss(NamedTuple):
+    """A loss rho(s) of s = r^2, and its first derivative.
+
+    Attributes:
+        value: rho(s), with rho(s) = s for small s.
+        weight: rho'(s).
+    """
+
+    value: Callable[[np.ndarray], np.ndarray]
+    weight: Callable[[np.ndarray], np.ndarray]
+
+
+LOSSES = {
+    "linear": Loss(lambda s: s, np.ones_like),
+    "huber": Loss(
+        lambda s: np.where(s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0),
+        lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0)),
+    ),
+    "soft_l1": Loss(
+        lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0), lambda s: 1.0 / np.sqrt(1.0 + s)
+    ),
+    "cauchy": Loss(np.log1p, lambda s: 1.0 / (1.0 + s)),
+}
+
+
+def loss_of(name: str) -> Loss:
+    """A loss by its name.
+
+    Raises:
+        FieldError: an unknown one.
+    """
+    if name not in LOSSES:
+        remedy = f"use one of {tuple(LOSSES)}"
+        raise FieldError("fit.loss", name, "is not known", remedy)
+    return LOSSES[name]
+
+
+def minimize(
+    evaluate: Callable[[np.ndarray], Evaluation],
+    start: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    size: np.ndarray,
+    loss: Loss = LOSSES["linear"],
+    most: int = 100,
+    told: Callable[[int, float], None] | None = None,
+) -> Minimum:
+    """Search for a minimum of half the sum of losses.
+
+    Args:
+        evaluate: Residuals and their derivatives at a point.
+        start: Where to begin, shape (P,), within the bounds.
+        lower: Bounds, shape (P,); -inf for none.
+        upper: Likewise.
+        size: Of each coordinate, for the length of the first step, shape (P,).
+        loss: Of the squared residuals.
+        most: Points tried.
+        told: Hears of every accepted point: its number and cost.
+
+    Returns:
+        The best point; where the start has no numbers, the start.
+    """
+    z = np.clip(start, lower, upper)
+    at = evaluate(z)
+    evaluations, failed = 1, int(at.failed > 0 or not at.usable)
+    cost = _cost(at, loss)
+    path, damping, scale = [z], _FIRST_DAMPING, np.zeros_like(z)
+    grows, reach, converged = 2.0, _FIRST_REACH, False
+    while at.usable and evaluations < most and damping < _MOST_DAMPING:
+        r, J = _weighted(at, loss)
+        scale = np.maximum(scale, np.linalg.norm(J, axis=0))
+        box = lower - z, upper - z
+        step = _step(r, J, *box, damping, scale)
+        while np.max(np.abs(step) / size) > reach and damping < _MOST_DAMPING:
+            damping *= 3.0
+            step = _step(r, J, *box, damping, scale)
+        promised = 0.5 * (r @ r - np.sum((r + J @ step) ** 2))
+        if 2.0 * promised <= _LEAST_FALL + _LEAST_SHARE * cost:
+            converged = damping <= 1.0  # else it is the damping that allows no step
+            break
+        tried = evaluate(z + step)
+        evaluations += 1
+        failed += tried.failed > 0 or not tried.usable
+        found = _cost(tried, loss)
+        gain = (cost - found) / promised
+        if gain > 1e-4:
+            z, at, cost = z + step, tried, found
+            path.append(z)
+            damping *= max(1.0 / 9.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
+            grows, reach = 2.0, reach * (2.0 if gain > 0.5 else 1.0)
+            if told is not None:
+                told(evaluations, cost)
+        else:
+            damping, grows = damping * grows, 2.0 * grows
+            reach = 0.5 * min(reach, np.max(np.abs(step) / size))
+    return Minimum(z, at, cost, evaluations, failed, converged, np.array(path))
+
+
+def _cost(at: Evaluation, loss: Loss) -> float:
+    if not at.usable:
+        return np.inf
+    return 0.5 * float(np.sum(loss.value(at.residual**2)))
+
+
+def _weighted(at: Evaluation, loss: Loss) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and derivatives whose squares have the loss's gradient."""
+    root = np.sqrt(loss.weight(at.residual**2))
+    return root * at.residual, root[:, None] * at.jacobian
+
+
+def _step(
+    r: np.ndarray,
+    J: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    damping: float,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """The damped step within a box; coordinates that reach its sides stay there."""
+    gradient = J.T @ r
+    inside = ~(
+        ((lower >= 0.0) & (gradient > 0.0)) | ((upper <= 0.0) & (gradient < 0.0))
+    )
+    step = np.zeros_like(scale)
+    seen = scale > 0.0
+    for _ in range(step.size):
+        moves = inside & seen
+        if not moves.any():
+            break
+        rest = r + J[:, ~moves] @ step[~moves]
+        D = np.sqrt(damping) * np.diag(scale[moves])
+        matrix = np.concatenate([J[:, moves], D])
+        target = np.concatenate([-rest, np.zeros(moves.sum())])
+        step[moves] = np.linalg.lstsq(matrix, target, rcond=None)[0]
+        cut = np.clip(step, lower, upper)
+        out = moves & (cut != step)
+        step = cut
+        if not out.any():
+            break
+        inside &= ~out
+    return step

@@ -1,0 +1,145 @@
+"""Which numbers of a model are free, and which follow from them."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from ..dynamics.scene import Scene
+from ..hybrid.modes import Modes
+from . import paths
+from .channels import AbstractChannel
+from .transforms import (
+    AbstractTransform,
+)
+
+Bounds = tuple[ArrayLike | None, ArrayLike | None]
+Values = dict[str, Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class Free:
+    """A parameter that a fit may change, from the value that the model has.
+
+    Masses, lengths and the like stay positive, inertias those of a density, quaternions
+    of unit length: in every iterate, by the coordinates that they are varied in.
+
+    Attributes:
+        path: Of a number or an array of the scene (``"body.inertia"``,
+            ``"body.surface.semi_axes"``, ``"loads[1].linear"``), of the start
+            (``"start.angular_velocity"``), of the modes (``"modes.friction"``) or of a
+            channel (``"gyro.bias"``, ``"gyro.delay"``).
+        bounds: Least and largest value [unit of the parameter], numbers or arrays, None
+            for none.
+        prior: Mean and standard deviation of what was known before, numbers or arrays.
+        form: ``"full"``; ``"diagonal"``: an inertia whose principal axes are the
+            body's; ``"scale"``: one factor, ratios stay; None: full.
+        shared: Whether several records have one value of it; None: of all but the
+            start.
+    """
+
+    path: str
+    bounds: Bounds | None = None
+    prior: tuple[ArrayLike, ArrayLike] | None = None
+    form: str | None = None
+    shared: bool | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Tied:
+    """A parameter that follows from the free ones.
+
+    Attributes:
+        path: As of :class:`Free`.
+        value: ``value(values)`` -> the parameter [its unit]; values are the free ones
+            by path.
+    """
+
+    path: str
+    value: Callable[[Values], ArrayLike]
+
+
+class Model(NamedTuple):
+    """What a record is predicted from."""
+
+    scene: Scene
+    start: Any
+    modes: Modes | None
+    channels: dict[str, AbstractChannel]
+
+
+def located(path: str, channels: Mapping[str, Any]) -> paths.Keys:
+    """Keys of a path in a :class:`Model`."""
+    keys = paths.keys_of(path)
+    roots = {"scene": ("scene",), "start": ("start",), "modes": ("modes",)}
+    roots |= {name: ("channels", name) for name in channels}
+    if keys[0] in roots:
+        return (*roots[str(keys[0])], *keys[1:])
+    return ("scene", *keys)
+
+
+def number_in(model: Model, keys: paths.Keys) -> Any:
+    """What a model has at keys."""
+    return paths.found(getattr(model, str(keys[0])), keys[1:])
+
+
+def _with(model: Model, keys: paths.Keys, value: Array) -> Model:
+    root = str(keys[0])
+    return model._replace(
+        **{root: paths.replaced(getattr(model, root), keys[1:], value)}
+    )
+
+
+class Slot(eqx.Module):
+    """One free parameter, in coordinates.
+
+    Attributes:
+        path: As the user wrote it.
+        keys: Where it is in a :class:`Model`.
+        transform: Its coordinates.
+        first: Its first coordinate among those of its record.
+        size: How many it has.
+    """
+
+    path: str = eqx.field(static=True)
+    keys: paths.Keys = eqx.field(static=True)
+    transform: AbstractTransform
+    first: int = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+
+    def value(self, z: Float[Array, " P"]) -> Array:
+        """The parameter at coordinates z of all."""
+        return self.transform.value(z[self.first : self.first + self.size])
+
+
+class Slots(eqx.Module):
+    """All parameters that one record depends on.
+
+    Attributes:
+        free: Free ones.
+        tied: Keys and functions of those that follow.
+    """
+
+    free: tuple[Slot, ...]
+    tied: tuple[tuple[str, paths.Keys, Callable[[Values], ArrayLike]], ...] = eqx.field(
+        static=True
+    )
+
+    def values(self, z: Float[Array, " P"]) -> Values:
+        """Free parameters by path."""
+        return {slot.path: slot.value(z) for slot in self.free}
+
+    def applied(self, model: Model, z: Float[Array, " P"]) -> Model:
+        """The model with the parameters at coordinates z."""
+        values = self.values(z)
+        for slot in self.free:
+            model = _with(model, slot.keys, values[slot.path])
+        for _, keys, function in self.tied:
+            old = number_in(model, keys)
+            new = jnp.broadcast_to(jnp.asarray(function(values), old.dtype), old.shape)
+            model = _with(model, keys, new)
+        return model

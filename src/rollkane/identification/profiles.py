@@ -1,0 +1,112 @@
+"""Confidence intervals: from standard errors, and by profiles of chi-square."""
+
+from statistics import NormalDist
+
+import jax.numpy as jnp
+import numpy as np
+
+from . import uncertainty
+from .estimates import Estimates
+from .experiments import Problem
+from .layout import Coordinates
+from .least_squares import Evaluation, minimize
+
+_HELD = 1e-3  # of a standard error: how firmly a profile holds its number
+_FARTHEST = 30.0  # standard errors: beyond, an interval has no end
+_CLOSE = 2e-3  # relative error of the rise at an end, and so 1e-3 of its distance
+
+
+def linear_interval(
+    fit: Estimates, path: str, level: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate minus and plus the normal quantile of standard errors."""
+    quantile = NormalDist().inv_cdf(0.5 + 0.5 * level)
+    middle, apart = fit.estimates[path], quantile * fit.standard_errors[path]
+    return middle - apart, middle + apart
+
+
+def profile_interval(
+    fit: Estimates, path: str, level: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where the least chi2 with an entry held has risen by the level's quantile."""
+    rise = NormalDist().inv_cdf(0.5 + 0.5 * level) ** 2
+    problem, z = fit.problem, fit.search.minimum.z
+    ends = {
+        entry.where.start: _of_entry(problem, entry, z, rise)
+        for entry in problem.layout.entries
+        if entry.free.path == path
+    }
+    of = lambda side: problem.layout.by_path(
+        lambda e: ends[e.where.start][side] if e.where.start in ends else np.zeros(0)
+    )[path]
+    return of(0), of(1)
+
+
+def _of_entry(
+    problem: Problem, entry: Coordinates, z: np.ndarray, rise: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ends for every entry of one parameter, in its shape."""
+    value = np.asarray(entry.transform.value(jnp.asarray(z[entry.where])))
+    slope = uncertainty.slope(entry, z)
+    known = uncertainty.coordinate_covariance(problem.evaluate(z), problem.layout, z)
+    own = known[entry.where, entry.where]
+    errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slope, own, slope), 0.0))
+    low, high = value.ravel().copy(), value.ravel().copy()
+    done: dict[tuple[float, ...], int] = {}
+    for k, error in enumerate(errors):
+        same = done.setdefault(tuple(np.round(slope[k], 12)), k)  # of a symmetric array
+        if same != k:
+            low[k], high[k] = low[same], high[same]
+        elif error > 0.0:
+            low[k] = _end(problem, entry, k, z, -error, rise)
+            high[k] = _end(problem, entry, k, z, error, rise)
+    return low.reshape(value.shape), high.reshape(value.shape)
+
+
+def _end(
+    problem: Problem,
+    entry: Coordinates,
+    k: int,
+    z: np.ndarray,
+    error: float,
+    rise: float,
+) -> float:
+    """Where the profile has risen, on the side of the error's sign."""
+    layout = problem.layout
+    least = float(np.sum(problem.evaluate(z).residual ** 2))
+    number = lambda z: float(
+        np.ravel(np.asarray(entry.transform.value(z[entry.where])))[k]
+    )
+    middle, width = number(z), _HELD * abs(error)
+    steps, point, reached = np.sqrt(rise), z, middle
+    inner, outer = 0.0, np.inf  # standard errors where the rise is less, and more
+    for _ in range(40):
+        goal = middle + steps * error
+
+        def evaluate(x: np.ndarray, goal: float = goal) -> Evaluation:
+            at = problem.evaluate(x)
+            row = np.zeros((1, layout.size))
+            row[0, entry.where] = uncertainty.slope(entry, x)[k] / width
+            residual = np.append(at.residual, (number(x) - goal) / width)
+            return Evaluation(residual, np.concatenate([at.jacobian, row]), at.failed)
+
+        found = minimize(evaluate, point, *layout.box, most=30)
+        point, reached = found.z, number(found.z)
+        risen = float(np.sum(found.at.residual[:-1] ** 2)) - least
+        taken = (reached - middle) / error
+        if abs(risen - rise) < _CLOSE * rise:
+            return reached
+        if risen < rise:
+            if abs(taken - steps) > 0.01 * steps:  # a bound keeps it
+                return reached
+            inner = taken
+            if inner > _FARTHEST:
+                return float(np.copysign(np.inf, error))
+        else:
+            outer = taken
+        guess = taken * np.sqrt(rise / max(risen, 0.1 * rise))  # a parabola's
+        limit = outer if np.isfinite(outer) else 3.0 * max(inner, 1.0)
+        steps = guess if inner < guess < limit else 0.5 * (inner + limit)
+        if outer - inner < 1e-3 * outer:
+            return reached
+    return reached

@@ -1,0 +1,114 @@
+"""A fit in words and a table."""
+
+import numpy as np
+
+from . import uncertainty
+from .estimates import Estimates
+from .unseen import REMEDY
+
+_STRONG = 0.95  # correlations that are told
+
+
+def text_report(fit: Estimates) -> str:
+    """Estimates with errors, how good the fit is, and what is not seen."""
+    lines = [Estimates, *_how(fit), "", *_estimates(fit), "", *_channels(fit)]
+    pairs = _correlations(fit)
+    lines += ["", "Correlations above 0.95:", *pairs] if pairs else []
+    if fit.unseen:
+        lines += ["", "Not seen in the records:", *(f"  {s}" for s in fit.unseen)]
+        lines.append(REMEDY)
+    return "\n".join(lines)
+
+
+def _how(fit: Estimates) -> list[str]:
+    freedom = fit.degrees_of_freedom
+    found = [
+        f"  chi2 / degrees of freedom  {fit.chi2:.6g} / {freedom} = "
+        f"{fit.chi2 / max(freedom, 1):.4g}",
+        f"  rollouts                   {fit.rollouts}, with derivatives; "
+        f"{fit.failed} tries with runs that did not reach their end",
+    ]
+    if not fit.converged:
+        found.append("  NOT converged: more evaluations, or a better guess, are needed")
+    if len(fit.stages) > 1:
+        horizons = ", ".join(f"{s.horizon:.3g}" for s in fit.stages)
+        found.append(f"  horizons                   {horizons} s")
+    if len(fit.minima) > 1:
+        listed = ", ".join(f"{chi2:.6g} ({n} of them)" for chi2, n in fit.minima)
+        found.append(f"  distinct minima, by chi2   {listed}")
+    return found
+
+
+def _estimates(fit: Estimates) -> list[str]:
+    layout, z = fit.problem.layout, fit.search.minimum.z
+    lines = [f"  {'parameter':<36}{'estimate':>14}{'std. error':>14}{'relative':>10}"]
+    at, row = fit.search.minimum.at, 0
+    errors = np.sqrt(np.diag(fit.covariance))
+    unseen = uncertainty.unseen_directions(at, layout)
+    held = uncertainty.active(at, layout, z)
+    for entry in layout.entries:
+        values = entry.shown(z)
+        slope = uncertainty.shown_slope(entry, z)
+        for k, (label, value) in enumerate(
+            zip(entry.transform.labels(), values, strict=True)
+        ):
+            error = errors[row]
+            hidden = unseen.size and np.any(
+                np.abs(unseen[:, entry.where] @ slope[k]) > 1e-6 * np.abs(slope).max()
+            )
+            told = f"{error:.3g}"
+            share = f"{100 * error / abs(value):.2g} %" if value else ""
+            if hidden:
+                told, share = "not seen", ""
+            elif held[entry.where].all():
+                told, share = "on bound", ""
+            lines.append(
+                f"  {entry.name + label:<36}{value:>14.6g}{told:>14}{share:>10}"
+            )
+            row += 1
+    return lines
+
+
+def _channels(fit: Estimates) -> list[str]:
+    several = isinstance(fit.residuals, list)
+    residuals = fit.residuals if several else [fit.residuals]
+    sigmas = fit.sigma if several else [fit.sigma]
+    lines = [f"  {'channel':<20}{'samples':>9}{'chi2/N':>9}{'whiteness':>11}  sigma"]
+    for number, (per, sigma) in enumerate(zip(residuals, sigmas, strict=True)):
+        for name, misfit in per.items():
+            shown = f"{name} {{{number}}}" if several else name
+            count = int(np.isfinite(misfit).sum())
+            chi2 = np.nansum(misfit**2) / max(count, 1)
+            noise = ", ".join(f"{s:.3g}" for s in sigma[name])
+            white = whiteness(misfit)
+            lines.append(f"  {shown:<20}{count:>9}{chi2:>9.3f}{white:>11.2f}  {noise}")
+    lines.append(
+        "  whiteness: correlation of neighbours over its deviation; |3| is a lot"
+    )
+    return lines
+
+
+def whiteness(misfit: np.ndarray) -> float:
+    """Correlation of neighbouring misfits times the root of their number.
+
+    Of white noise normal with deviation 1; large where the model leaves something out.
+    """
+    before, after = misfit[:-1], misfit[1:]
+    both = np.isfinite(before) & np.isfinite(after)
+    if both.sum() < 2:
+        return 0.0
+    power = np.nanmean(misfit**2)
+    if power == 0.0:
+        return 0.0
+    along = np.sum(np.where(both, before * after, 0.0))
+    return float(along / (power * np.sqrt(both.sum())))
+
+
+def _correlations(fit: Estimates) -> list[str]:
+    found: list[str] = []
+    for i in range(len(fit.names)):
+        for k in range(i):
+            value = fit.correlation[i, k]
+            if abs(value) > _STRONG:
+                found.append(f"  {fit.names[k]}, {fit.names[i]}: {value:+.3f}")
+    return found[:20]

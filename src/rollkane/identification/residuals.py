@@ -1,0 +1,242 @@
+"""What a record says about a model: weighted misfits and their exact derivatives.
+
+A record's misfits are one function of its coordinates, compiled once for all records
+and fits of the same structure. Channels with a delay have a run of their own, whose
+output times move with it.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ..simulation.run import simulate
+from ..validation.checks import FieldError
+from .channels import AbstractChannel
+from .parameters import Free, Model, Slots, Tied
+from .records import Record
+
+# Times beyond the horizon are moved close behind it, this share of the record apart:
+# their samples do not count, and no program depends on the horizon.
+_BEHIND = 1e-6
+# A sample that a run does not reach counts as this many deviations, and what it reads.
+_LOST = 10.0
+
+
+class Options(NamedTuple):
+    """How runs are made: of ``simulate``."""
+
+    rtol: float | None = None
+    atol: float | None = None
+    max_steps: int | None = None
+    method: str = "auto"
+
+
+class Group(eqx.Module):
+    """Channels that one run serves.
+
+    Attributes:
+        time: Times of their samples [s], shape (T,).
+        channels: By name, with the samples at these times.
+        delayed: Whether the times move with the channel's delay.
+        leads: Whether the run starts before the first sample.
+    """
+
+    time: Float[Array, " T"]
+    channels: dict[str, AbstractChannel]
+    delayed: bool = eqx.field(static=True)
+    leads: bool = eqx.field(static=True)
+
+
+class Linearized(eqx.Module):
+    """Misfits at some parameters.
+
+    Attributes:
+        misfit: Over their deviations [1], shape (N,); 0 where no sample is.
+        jacobian: Derivative by the record's coordinates, shape (N, P).
+        counted: Which of them are samples, shape (N,).
+        codes: Of the runs, shape (G,).
+    """
+
+    misfit: Float[Array, " N"]
+    jacobian: Float[Array, "N P"]
+    counted: Bool[Array, " N"]
+    codes: Array
+
+
+def grouped(
+    record: Record, free: tuple[Free | Tied, ...], deviations: dict[str, np.ndarray]
+) -> tuple[Group, ...]:
+    """A record's channels by the runs that they need.
+
+    Args:
+        record: The record.
+        free: Free parameters: delays among them give runs of their own, which leave out
+            the samples that may show the time before the start.
+        deviations: Of channels without sigma.
+    """
+    time, start = np.asarray(record.time), float(record.start_time)
+    largest = _delays(record, free)
+    groups: list[Group] = []
+    together: dict[str, AbstractChannel] = {}
+    for name, channel in record.channels.items():
+        if channel.sigma is None:
+            sigma = jnp.asarray(deviations[name])
+            channel = eqx.tree_at(
+                lambda c: c.sigma, channel, sigma, is_leaf=lambda x: x is None
+            )
+        if name not in largest:
+            together[name] = channel
+            continue
+        kept = time - largest[name] > start
+        if kept.sum() < 2:
+            problem = f"leaves no samples: it may be up to {largest[name]:g} s"
+            remedy = "give smaller bounds, or an earlier Record.start_time"
+            raise FieldError(f"{name}.delay", "...", problem, remedy)
+        channel = eqx.tree_at(lambda c: c.values, channel, channel.values[kept])
+        groups.append(Group(jnp.asarray(time[kept]), {name: channel}, True, True))
+    if together:
+        leads = bool(start < time[0])
+        groups.insert(0, Group(record.time, together, False, leads))
+    return tuple(groups)
+
+
+def with_delay_bounds(
+    free: tuple[Free | Tied, ...], records: Sequence[Record]
+) -> tuple[Free | Tied, ...]:
+    """The parameters; delays without an upper bound get one: 20 samples."""
+
+    def bounded(one: Free | Tied) -> Free | Tied:
+        name, _, field = one.path.rpartition(".")
+        owners = [r for r in records if name in r.channels]
+        if not isinstance(one, Free) or field != "delay" or not owners:
+            return one
+        low, high = (0.0, None) if one.bounds is None else one.bounds
+        if high is None:
+            spacing = max(float(np.median(np.diff(np.asarray(r.time)))) for r in owners)
+            known = max(float(r.channels[name].delay) for r in owners)
+            high = known + 20.0 * spacing
+        return dataclasses.replace(one, bounds=(low, high))
+
+    return tuple(bounded(one) for one in free)
+
+
+def _delays(record: Record, free: tuple[Free | Tied, ...]) -> dict[str, float]:
+    """Largest delay of every channel that has one, or may have [s]."""
+    largest = {f.path: f.bounds[1] for f in free if isinstance(f, Free) and f.bounds}
+    found: dict[str, float] = {}
+    for name, channel in record.channels.items():
+        limit = largest.get(f"{name}.delay")
+        known = (
+            float(channel.delay) if limit is None else float(np.max(np.asarray(limit)))
+        )
+        if limit is not None or known != 0.0:
+            found[name] = known
+    return found
+
+
+def behind(time: Float[Array, " T"], horizon: float) -> np.ndarray:
+    """Times with those beyond a horizon moved close behind it."""
+    known = np.asarray(time)
+    late = known > horizon
+    if not late.any():
+        return known
+    kept = known[~late]
+    last = max(horizon, kept[-1] if kept.size else known[0])
+    step = _BEHIND * (known[-1] - known[0])
+    return np.where(late, last + step * np.cumsum(late), known)
+
+
+def within(
+    groups: tuple[Group, ...], horizon: float
+) -> tuple[tuple[Group, ...], tuple[Bool[Array, " T"], ...]]:
+    """Groups up to a horizon [s], and which of their times count."""
+    counts = tuple(jnp.asarray(np.asarray(g.time) <= horizon) for g in groups)
+    shorter = [
+        eqx.tree_at(lambda g: g.time, g, jnp.asarray(behind(g.time, horizon)))
+        for g in groups
+    ]
+    return tuple(shorter), counts
+
+
+@eqx.filter_jit
+def linearized(
+    slots: Slots,
+    model: Model,
+    groups: tuple[Group, ...],
+    counts: tuple[Bool[Array, " T"], ...],
+    start_time: Float[Array, ""],
+    options: Options,
+    z: Float[Array, " P"],
+) -> Linearized:
+    """Misfits and their derivatives by a record's coordinates."""
+
+    def misfits(z: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+        known = slots.applied(model, z)
+        parts = [
+            _of_group(known, group, count, start_time, options)
+            for group, count in zip(groups, counts, strict=True)
+        ]
+        misfit = jnp.concatenate([part[0] for part in parts])
+        counted = jnp.concatenate([part[1] for part in parts])
+        return misfit, (misfit, counted, jnp.stack([part[2] for part in parts]))
+
+    jacobian, (misfit, counted, codes) = jax.jacfwd(misfits, has_aux=True)(z)
+    return Linearized(misfit, jacobian, counted, codes)
+
+
+def _of_group(
+    model: Model,
+    group: Group,
+    count: Bool[Array, " T"],
+    start_time: Float[Array, ""],
+    options: Options,
+) -> tuple[Array, Array, Array]:
+    """Misfits of a group's channels, which are samples, and the code of its run."""
+    time = group.time
+    if group.delayed:
+        (name,) = group.channels
+        time = time - model.channels[name].delay
+    times = jnp.concatenate([start_time[None], time]) if group.leads else time
+    run = simulate(
+        model.scene,
+        model.start,
+        times,
+        modes=model.modes,
+        rtol=options.rtol,
+        atol=options.atol,
+        max_steps=options.max_steps,
+        method=options.method,
+    )
+    found: list[tuple[Array, Array]] = []
+    for name, samples in group.channels.items():
+        # the record's samples and noise, with the parameters of the model's channel
+        channel = eqx.tree_at(
+            lambda c: (c.values, c.sigma),
+            model.channels[name],
+            (samples.values, samples.sigma),
+            is_leaf=lambda x: x is None,
+        )
+        predicted = run.each(channel.observed)
+        predicted = predicted[1:] if group.leads else predicted
+        assert channel.sigma is not None
+        sampled = ~jnp.isnan(samples.values)
+        filled = eqx.tree_at(
+            lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)
+        )
+        misfit = filled.misfit(predicted) / channel.sigma
+        complete = jnp.all(sampled, axis=1, keepdims=True)
+        whole = sampled if misfit.shape == sampled.shape else complete
+        counted = jnp.broadcast_to(whole, misfit.shape) & count[:, None]
+        reached = jnp.isfinite(misfit)
+        size = jnp.sqrt(jnp.mean(jnp.where(sampled, samples.values, 0.0) ** 2))
+        lost = _LOST + 2.0 * size / channel.sigma
+        finite = jnp.where(reached, misfit, lost)
+        found.append((jnp.where(counted, finite, 0.0).ravel(), counted.ravel()))
+    misfits, counts = zip(*found, strict=True)
+    return jnp.concatenate(misfits), jnp.concatenate(counts), run.code

@@ -1,0 +1,279 @@
+"""Coordinates of a parameter in which every step leads to a possible body.
+
+A parameter is ``value(z)`` for unconstrained numbers ``z``: positive ones by their
+logarithm, inertias by the second moments of a density, quaternions by small rotations.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..geometry.rotations import multiply
+from ..validation.checks import FieldError
+
+# Below this ratio of second moments a body counts as flat: its thickness is 1e-4 of its
+# size, and adds 1e-8 to its moments of inertia.
+FLAT = 1e-8
+FORMS = ("full", "diagonal", "scale")
+
+
+class AbstractTransform(eqx.Module):
+    """A parameter by unconstrained coordinates."""
+
+    def value(self, z: Float[Array, " k"]) -> Array:
+        """The parameter at coordinates z, in its own shape."""
+        raise NotImplementedError
+
+    def start(self) -> np.ndarray:
+        """Coordinates of the value that was given, shape (k,)."""
+        raise NotImplementedError
+
+    def scale(self) -> np.ndarray:
+        """Size of each coordinate, for what is said relative to it, shape (k,)."""
+        return np.ones_like(self.start())
+
+    def shown(self, value: Array) -> Array:
+        """Independent numbers of a value, which names of a covariance stand for."""
+        return jnp.ravel(value)
+
+    def labels(self) -> tuple[str, ...]:
+        """Names of these numbers, behind the parameter's own."""
+        return entries(np.shape(self.value(jnp.asarray(self.start()))))
+
+
+def entries(shape: tuple[int, ...]) -> tuple[str, ...]:
+    """Indices of the entries of an array, as a path has them."""
+    if not shape:
+        return ("",)
+    every = np.ndindex(*shape)
+    return tuple("".join(f"[{i}]" for i in index) for index in every)
+
+
+class Plain(AbstractTransform):
+    """Numbers as they are."""
+
+    reference: Array
+
+    def value(self, z: Float[Array, " k"]) -> Array:
+        """The numbers."""
+        return jnp.reshape(z, self.reference.shape)
+
+    def start(self) -> np.ndarray:
+        """The numbers."""
+        return np.ravel(np.asarray(self.reference, float))
+
+    def scale(self) -> np.ndarray:
+        """The largest of them; 1 where all are zero."""
+        size = np.max(np.abs(self.start()), initial=0.0)
+        return np.full_like(self.start(), size if size > 0.0 else 1.0)
+
+
+class Positive(AbstractTransform):
+    """Positive numbers, by their logarithms."""
+
+    reference: Array
+
+    def value(self, z: Float[Array, " k"]) -> Array:
+        """The numbers."""
+        return jnp.reshape(jnp.exp(z), self.reference.shape)
+
+    def start(self) -> np.ndarray:
+        """Their logarithms."""
+        return np.log(np.ravel(np.asarray(self.reference, float)))
+
+
+class Scaled(AbstractTransform):
+    """An array by one positive factor: its ratios stay."""
+
+    reference: Array
+
+    def value(self, z: Float[Array, " 1"]) -> Array:
+        """The array."""
+        return self.reference * jnp.exp(z[0])
+
+    def start(self) -> np.ndarray:
+        """Zero."""
+        return np.zeros(1)
+
+    def shown(self, value: Array) -> Array:
+        """The factor."""
+        return (jnp.sum(value * self.reference) / jnp.sum(self.reference**2))[None]
+
+    def labels(self) -> tuple[str, ...]:
+        """That it is a factor."""
+        return (" (factor)",)
+
+
+class AbstractInertia(AbstractTransform):
+    """An inertia ``I = tr(S) 1 - S`` by the second moments S of a density.
+
+    S is positive semidefinite for every z, so that I is positive definite and no
+    principal moment exceeds the sum of the others.
+    """
+
+    reference: Array
+
+    def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
+        """S [kg m^2], of density times products of coordinates."""
+        raise NotImplementedError
+
+    def value(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
+        """The inertia about the mass centre [kg m^2]."""
+        S = self.second_moments(z)
+        return jnp.trace(S) * jnp.eye(3, dtype=S.dtype) - S
+
+    def shown(self, value: Array) -> Array:
+        """Moments, then entries off the diagonal."""
+        rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+        return value[rows, columns]
+
+    def labels(self) -> tuple[str, ...]:
+        """Axes of the entries."""
+        return (".xx", ".yy", ".zz", ".xy", ".xz", ".yz")
+
+
+class FullInertia(AbstractInertia):
+    """Six numbers: ``S = L L^T``, L lower triangular with logarithms on its diagonal.
+
+    Off the diagonal, in units of the diagonal's geometric mean of row and column.
+    """
+
+    def second_moments(self, z: Float[Array, " 6"]) -> Float[Array, "3 3"]:
+        """S [kg m^2]."""
+        return _product(z, 3)
+
+    def start(self) -> np.ndarray:
+        """Of the Cholesky factor."""
+        return _factor(second_moments_of(self.reference))
+
+
+class FlatInertia(AbstractInertia):
+    """Three numbers of a body without thickness, in a plane that stays.
+
+    Its largest moment is the sum of the others, where S has no Cholesky factor.
+
+    Attributes:
+        reference: Inertia [kg m^2].
+        plane: Two unit vectors in the body's plane, shape (3, 2).
+    """
+
+    plane: Array
+
+    def second_moments(self, z: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+        """S [kg m^2]."""
+        return self.plane @ _product(z, 2) @ self.plane.T
+
+    def start(self) -> np.ndarray:
+        """Of the Cholesky factor in the plane."""
+        plane = np.asarray(self.plane)
+        return _factor(plane.T @ second_moments_of(self.reference) @ plane)
+
+
+class DiagonalInertia(AbstractInertia):
+    """Three numbers: principal axes along the body's."""
+
+    def second_moments(self, z: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+        """S [kg m^2]."""
+        return jnp.diag(jnp.exp(z))
+
+    def start(self) -> np.ndarray:
+        """Logarithms of second moments, of no less than a flat body's."""
+        diagonal = np.diag(second_moments_of(self.reference))
+        return np.log(np.maximum(diagonal, FLAT * np.max(diagonal)))
+
+    def shown(self, value: Array) -> Array:
+        """The moments."""
+        return jnp.diagonal(value)
+
+    def labels(self) -> tuple[str, ...]:
+        """Axes of the moments."""
+        return (".xx", ".yy", ".zz")
+
+
+class Rotated(AbstractTransform):
+    """A unit quaternion, by a small rotation about fixed axes [rad]."""
+
+    reference: Float[Array, "4"]
+
+    def value(self, z: Float[Array, " 3"]) -> Float[Array, "4"]:
+        """The quaternion: ``exp(z / 2)`` times the one that was given."""
+        size = jnp.sum(z * z)
+        # cos and sin(x)/x of x = |z| / 2 are functions of its square, smooth at zero
+        small = size < 1e-8
+        angle = 0.5 * jnp.sqrt(jnp.where(small, 1.0, size))
+        real = jnp.where(small, 1.0 - size / 8.0, jnp.cos(angle))
+        share = jnp.where(
+            small,
+            0.5 - size / 48.0,
+            0.5 * jnp.sin(angle) / jnp.where(small, 1.0, angle),
+        )
+        return multiply(jnp.concatenate([real[None], share * z]), self.reference)
+
+    def start(self) -> np.ndarray:
+        """No rotation."""
+        return np.zeros(3)
+
+    def shown(self, value: Array) -> Array:
+        """Twice the vector part of the rotation from the given quaternion [rad]."""
+        back = self.reference * jnp.array([1.0, -1.0, -1.0, -1.0])
+        turned = multiply(value, back) / jnp.sum(self.reference**2)
+        return 2.0 * turned[1:]
+
+    def labels(self) -> tuple[str, ...]:
+        """Fixed axes."""
+        return (" about x", " about y", " about z")
+
+
+def second_moments_of(inertia: Any) -> np.ndarray:
+    """S of an inertia [kg m^2], shape (3, 3)."""
+    inertia = np.asarray(inertia, float)
+    return 0.5 * np.trace(inertia) * np.eye(3) - 0.5 * (inertia + inertia.T)
+
+
+def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractInertia:
+    """The coordinates that an inertia's start allows.
+
+    Args:
+        field: Name used in the error.
+        inertia: [kg m^2], shape (3, 3).
+        form: ``"diagonal"``, or ``"full"`` (also None).
+
+    Raises:
+        FieldError: a diagonal form of an inertia that is not diagonal.
+    """
+    known = np.asarray(inertia, float)
+    if form == "diagonal":
+        off = known - np.diag(np.diag(known))
+        if np.any(np.abs(off) > 1e-12 * np.max(np.abs(known))):
+            remedy = "leave form out, or start from principal axes along the body's"
+            raise FieldError(field, known, "is not diagonal", remedy)
+        return DiagonalInertia(inertia)
+    moments, axes = np.linalg.eigh(second_moments_of(known))
+    if moments[0] < -FLAT * moments[2]:
+        problem = "violates the triangle inequality, which no distribution of mass can"
+        raise FieldError(field, known, problem, "start from a possible body's inertia")
+    if moments[0] <= FLAT * moments[2]:
+        return FlatInertia(inertia, jnp.asarray(axes[:, 1:], inertia.dtype))
+    return FullInertia(inertia)
+
+
+def _product(z: Float[Array, " k"], size: int) -> Float[Array, "n n"]:
+    """``L L^T`` of logarithms on the diagonal, and ratios below it."""
+    diagonal = jnp.exp(z[:size])
+    L = jnp.diag(diagonal)
+    rows, columns = np.tril_indices(size, -1)
+    below = z[size:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
+    L = L.at[rows, columns].set(below)
+    return L @ L.T
+
+
+def _factor(S: np.ndarray) -> np.ndarray:
+    """The coordinates of :func:`_product`."""
+    L = np.linalg.cholesky(S)
+    diagonal = np.diag(L)
+    rows, columns = np.tril_indices(S.shape[0], -1)
+    below = L[rows, columns] / np.sqrt(diagonal[rows] * diagonal[columns])
+    return np.concatenate([np.log(diagonal), below])

@@ -1,0 +1,110 @@
+"""How well parameters are known: covariances from J^T J, and what is not seen."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .layout import Coordinates, Layout
+from .least_squares import Evaluation
+
+# Singular values of the scaled Jacobian below this share of the largest are rounding:
+# runs are good to 1e-9 of their size, and their derivatives to little worse.
+UNSEEN = 1e-7
+
+
+class Spectrum(NamedTuple):
+    """Singular values of a Jacobian whose columns are relative to a scale.
+
+    Attributes:
+        values: Decreasing, shape (P,).
+        directions: Rows: directions in scaled coordinates, shape (P, P).
+        scale: Of the coordinates, shape (P,).
+    """
+
+    values: np.ndarray
+    directions: np.ndarray
+    scale: np.ndarray
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which directions change the prediction, shape (P,)."""
+        return self.values > UNSEEN * max(self.values[0], 1e-300)
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value; infinite where one is not seen."""
+        if not self.seen.all():
+            return np.inf
+        return float(self.values[0] / self.values[-1])
+
+
+def spectrum(jacobian: np.ndarray, scale: np.ndarray) -> Spectrum:
+    """Singular values of ``jacobian * scale``."""
+    columns = jacobian * scale
+    if columns.shape[0] < columns.shape[1]:
+        missing = columns.shape[1] - columns.shape[0]
+        columns = np.concatenate([columns, np.zeros((missing, columns.shape[1]))])
+    _, values, directions = np.linalg.svd(columns, full_matrices=False)
+    return Spectrum(values, directions, scale)
+
+
+def coordinate_covariance(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
+    """Covariance of the coordinates, ``(J^T J)^-1`` of what is seen, shape (P, P).
+
+    Coordinates on a bound that the descent leads out of are known: no variance.
+    """
+    inside = ~active(at, layout, z)
+    found = np.zeros((z.size, z.size))
+    if inside.any():
+        parts = spectrum(at.jacobian[:, inside], layout.scale[inside])
+        inverse = np.where(parts.seen, 1.0 / np.maximum(parts.values, 1e-300), 0.0)
+        root = parts.scale[:, None] * parts.directions.T * inverse
+        found[np.ix_(inside, inside)] = root @ root.T
+    return found
+
+
+def active(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
+    """Coordinates that only their bound keeps from going on, shape (P,)."""
+    gradient = at.jacobian.T @ at.residual
+    low = (z <= layout.lower) & (gradient > 0.0)
+    return low | ((z >= layout.upper) & (gradient < 0.0))
+
+
+def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
+    """Directions in coordinates that change nothing, rows, shape (D, P)."""
+    parts = spectrum(at.jacobian, layout.scale)
+    return parts.directions[~parts.seen] * parts.scale
+
+
+def slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
+    """Derivative of a parameter's entries by its coordinates, shape (n, k)."""
+    flat = lambda x: jnp.ravel(entry.transform.value(x))
+    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+
+
+def shown_slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
+    """Derivative of its named numbers by its coordinates, shape (m, k)."""
+    flat = lambda x: entry.transform.shown(entry.transform.value(x))
+    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+
+
+def names_of(layout: Layout) -> tuple[str, ...]:
+    """Names of the rows of a covariance."""
+    return tuple(
+        entry.name + label
+        for entry in layout.entries
+        for label in entry.transform.labels()
+    )
+
+
+def named_covariance(layout: Layout, z: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Covariance of the named numbers, from that of the coordinates."""
+    rows = np.zeros((len(names_of(layout)), layout.size))
+    first = 0
+    for entry in layout.entries:
+        own = shown_slope(entry, z)
+        rows[first : first + own.shape[0], entry.where] = own
+        first += own.shape[0]
+    return rows @ known @ rows.T
