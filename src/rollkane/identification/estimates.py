@@ -19,8 +19,8 @@ class Estimates:
     """Estimates from records, and what is known about them.
 
     Attributes:
-        estimates: By path, each in the parameter's shape [its unit]; own ones of several records
-            are stacked along a first axis.
+        estimates: By path, each in the parameter's shape [its unit]; of several
+            records' own ones stacked along a first axis.
         standard_errors: Likewise; infinite for what the records do not show.
         names: Of the numbers that covariance and correlation are of.
         covariance: From ``J^T J``, of what is seen, shape (n, n).
