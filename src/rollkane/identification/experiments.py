@@ -21,6 +21,9 @@ from .transforms import AbstractTransform
 
 # Of a channel without sigma, before a fit has seen its misfits: this share of its size.
 _GUESSED_NOISE = 0.01
+# Of a derivative, relative to the size of what is differentiated: sums of 1e4 steps
+# with roundings of 1e-16, which grow tenfold.
+_ROUNDING = 1e-11
 
 
 class Problem:
@@ -114,7 +117,20 @@ class Problem:
                 whole[:, entry.where] = slope
                 residuals.append(value)
                 jacobians.append(whole)
-        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), failed)
+        return Evaluation(
+            np.concatenate(residuals), np.concatenate(jacobians), failed, self.rounding
+        )
+
+    @property
+    def rounding(self) -> float:
+        """Of derivatives by relative changes: that of the samples' whole size."""
+        read = [
+            np.asarray(c.values) / np.mean(np.asarray(c.sigma))
+            for groups in self.groups
+            for group in groups
+            for c in group.channels.values()
+        ]
+        return _ROUNDING * float(np.sqrt(sum(np.nansum(r**2) for r in read)))
 
     def _linearized(
         self, record: int, z: np.ndarray, horizon: float
@@ -173,7 +189,8 @@ class Problem:
             for group in groups:
                 for name, channel in group.channels.items():
                     values = np.asarray(channel.values)
-                    apart = values - np.nanmean(values, axis=0)
+                    counts = np.maximum(np.isfinite(values).sum(axis=0), 1)
+                    apart = values - np.nansum(values, axis=0) / counts
                     own[name] = apart / np.mean(np.asarray(channel.sigma))
             found.append(own)
         return found
@@ -219,7 +236,8 @@ def _size(values: Array) -> float:
 def _prior_of(
     transform: AbstractTransform, mean: Array, deviation: Array, z: Array
 ) -> tuple[Array, Array]:
-    away = lambda z: jnp.ravel((transform.value(z) - mean) / deviation)
+    numbers = lambda value: transform.independent(value)
+    away = lambda z: (numbers(transform.value(z)) - numbers(mean)) / deviation
     return away(z), jax.jacfwd(away)(z)
 
 
@@ -229,6 +247,7 @@ def _prior(entry: Coordinates, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     mean, deviation = (jnp.asarray(x, float) for x in entry.free.prior)
     shape = np.shape(entry.transform.value(jnp.asarray(entry.transform.start())))
     mean, deviation = (jnp.broadcast_to(x, shape) for x in (mean, deviation))
+    deviation = entry.transform.deviations(deviation)
     value, slope = _prior_of(
         entry.transform, mean, deviation, jnp.asarray(z[entry.where])
     )

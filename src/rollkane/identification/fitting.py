@@ -8,14 +8,16 @@ import numpy as np
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
+from ..simulation.run_checks import check_span
 from ..validation.checks import FieldError, whole
 from .experiments import Problem
 from .fit_result import Fit
 from .horizons import Search, followed, progressive, single
-from .least_squares import Loss, loss_of
+from .least_squares import Evaluation, Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
-from .residuals import Options, with_delay_bounds
+from .residuals import Group, Options, with_delay_bounds
+from .uncertainty import unseen_directions
 
 STRATEGIES = ("auto", "single", "progressive")
 _NOISE_ROUNDS = 4  # deviations that are estimated settle within
@@ -83,9 +85,12 @@ def fit(
     count = whole("fit.starts", starts, 1, "give how many guesses")
     guesses = _guesses(problem, count, spread, seed)
     z0 = guesses[0]
-    if not problem.evaluate(z0).usable:
-        problem_text = "gives no numbers: a run or its derivatives are not finite"
-        raise FieldError("fit.start", "...", problem_text, "begin nearer to the record")
+    at = problem.evaluate(z0)
+    check_usable(at)
+    if not at.failed and len(unseen_directions(at, problem.layout)) == z0.size:
+        named = tuple(e.free.path for e in problem.layout.entries)
+        remedy = "free what the samples depend on, or record what depends on these"
+        raise FieldError("fit.free", named, "is not seen in the records", remedy)
     searches = [
         _search(problem, guess, known, strategy, max_evaluations) for guess in guesses
     ]
@@ -126,8 +131,38 @@ def problem_of(
         if not isinstance(one, State):
             remedy = "make it with rollkane.place"
             raise FieldError("fit.start", one, "must be a State", remedy)
+    for one in free:
+        if not isinstance(one, (Free, Tied)):
+            remedy = 'give rollkane.Free("body.inertia"), or several of them'
+            raise FieldError("fit.free", one, "must be a parameter", remedy)
     bounded = with_delay_bounds(free, records)
-    return Problem(scene, starts, records, bounded, modes, options)
+    problem = Problem(scene, starts, records, bounded, modes, options)
+    for record, groups in zip(records, problem.groups, strict=True):
+        latest = [_latest(group, bounded) for group in groups]
+        check_span(scene, np.array([record.start_time, *latest]))
+    return problem
+
+
+def check_usable(at: Evaluation) -> None:
+    """Refuse a first guess whose misfits are no numbers."""
+    if not at.usable:
+        problem = "gives no numbers: a run or its derivatives are not finite"
+        raise FieldError("fit.start", "...", problem, "begin nearer to the record")
+
+
+def _latest(group: Group, free: tuple[Free | Tied, ...]) -> float:
+    """The latest time of a group's run [s], with the least delay that it may have."""
+    last = float(group.time[-1])
+    if not group.delayed:
+        return last
+    (name,) = group.channels
+    delay = float(group.channels[name].delay)
+    bounds = [
+        float(np.min(np.asarray(f.bounds[0])))
+        for f in free
+        if isinstance(f, Free) and f.path == f"{name}.delay" and f.bounds
+    ]
+    return last - min([delay, *bounds])
 
 
 def _search(
