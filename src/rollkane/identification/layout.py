@@ -231,9 +231,11 @@ def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
         value = number_in(model, keys)
     except LookupError:
         value = None
-    if not isinstance(value, (jax.Array, np.ndarray)) or not np.issubdtype(
+    read = keys[0] == "channels" and keys[2:3] in (("values",), ("sigma",))
+    number = isinstance(value, (jax.Array, np.ndarray)) and np.issubdtype(
         value.dtype, np.floating
-    ):
+    )
+    if read or not number:
         raise paths.unknown(path, known_paths(model))
     return keys, value
 
@@ -335,9 +337,11 @@ def _check_prior(free: Free, value: Array) -> None:
     field, remedy = f"Free({free.path!r}).prior", "give (mean, standard deviation)"
     try:
         mean, deviation = free.prior
-        np.broadcast_to(np.asarray(mean, float), np.shape(value))
+        middle = np.broadcast_to(np.asarray(mean, float), np.shape(value))
         known = np.broadcast_to(np.asarray(deviation, float), np.shape(value))
     except (TypeError, ValueError) as error:
         raise FieldError(field, free.prior, "does not fit", remedy) from error
+    if not np.isfinite(middle).all():
+        raise FieldError(field, free.prior, "must have a finite mean", remedy)
     if not np.all((known > 0.0) & (known < np.inf)):
         raise FieldError(field, free.prior, "must have a positive deviation", remedy)
