@@ -47,6 +47,8 @@ def child(tree: Any, key: str | int) -> Any:
     """
     if isinstance(key, int) or isinstance(tree, Mapping):
         try:
+            if isinstance(key, int):  # of an array beyond its end, JAX takes the last
+                key = range(len(tree))[key]
             return tree[key]
         except (TypeError, KeyError, IndexError) as error:
             raise LookupError(key) from error

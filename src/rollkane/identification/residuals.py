@@ -223,14 +223,14 @@ def _of_group(
             (samples.values, samples.sigma),
             is_leaf=lambda x: x is None,
         )
+        assert channel.sigma is not None
         predicted = run.each(channel.observed)
         predicted = predicted[1:] if group.leads else predicted
-        assert channel.sigma is not None
         sampled = ~jnp.isnan(samples.values)
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)
         )
-        misfit = filled.misfit(predicted) / channel.sigma
+        misfit = filled.misfit(predicted) / channel.sigma[None]
         complete = jnp.all(sampled, axis=1, keepdims=True)
         whole = sampled if misfit.shape == sampled.shape else complete
         counted = jnp.broadcast_to(whole, misfit.shape) & count[:, None]
