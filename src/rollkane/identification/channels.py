@@ -116,6 +116,10 @@ class AbstractSensor(AbstractChannel):
             problem = f"and bias must be a number or {size} numbers"
             remedy = "give one for each column"
             raise FieldError(f"{name}.gain", (gain, bias), problem, remedy) from error
+        for field, known in (("bias", self.bias), ("gain", self.gain)):
+            if not np.isfinite(np.asarray(known)).all():
+                remedy = "give its value, or leave it out"
+                raise FieldError(f"{name}.{field}", known, "must be finite", remedy)
 
     def misfit(self, predicted: Float[Array, "T k"]) -> Float[Array, "T k"]:
         """Measured minus predicted, with gain and bias."""

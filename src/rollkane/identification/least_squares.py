@@ -32,11 +32,13 @@ class Evaluation(NamedTuple):
         residual: Over their deviations, shape (N,), finite.
         jacobian: Shape (N, P).
         failed: Runs that did not reach their end.
+        rounding: Of the derivatives by relative changes of the coordinates.
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
     failed: int
+    rounding: float = 0.0
 
     @property
     def usable(self) -> bool:
@@ -148,13 +150,17 @@ def minimize(
         if 2.0 * promised <= _LEAST_FALL + _LEAST_SHARE * cost:
             converged = damping <= 1.0  # else it is the damping that allows no step
             break
-        tried = evaluate(z + step)
+        # what reaches a side is on it, not beside it by a rounding
+        ahead = np.where(
+            step <= box[0], lower, np.where(step >= box[1], upper, z + step)
+        )
+        tried = evaluate(ahead)
         evaluations += 1
         failed += tried.failed > 0 or not tried.usable
         found = _cost(tried, loss)
         gain = (cost - found) / promised
         if gain > 1e-4:
-            z, at, cost = z + step, tried, found
+            z, at, cost = ahead, tried, found
             path.append(z)
             damping *= max(1.0 / 9.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             grows, reach = 2.0, reach * (2.0 if gain > 0.5 else 1.0)

@@ -22,6 +22,9 @@ def keys_of(path: str) -> Keys:
     Raises:
         FieldError: it is not a path.
     """
+    remedy = 'write for example "body.mass" or "loads[1].linear"'
+    if not isinstance(path, str):
+        raise FieldError("Free.path", path, "must be text", remedy)
     keys: list[str | int] = []
     position = 0
     while position < len(path):
@@ -32,7 +35,6 @@ def keys_of(path: str) -> Keys:
         keys.append(int(index or name) if index or name.isdigit() else name)
         position = part.end()
     if position < len(path) or not keys:
-        remedy = 'write for example "body.mass" or "loads[1].linear"'
         raise FieldError("Free.path", path, "is not a path", remedy)
     return tuple(keys)
 
@@ -45,6 +47,8 @@ def child(tree: Any, key: str | int) -> Any:
     """
     if isinstance(key, int) or isinstance(tree, Mapping):
         try:
+            if isinstance(key, int):  # of an array beyond its end, JAX takes the last
+                key = range(len(tree))[key]
             return tree[key]
         except (TypeError, KeyError, IndexError) as error:
             raise LookupError(key) from error

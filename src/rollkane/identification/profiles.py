@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import uncertainty
-from .estimates import Estimates
+from .estimates import Estimates, standard_errors_of
 from .experiments import Problem
 from .layout import Coordinates
 from .least_squares import Evaluation, minimize
@@ -48,15 +48,18 @@ def _of_entry(
     """Ends for every entry of one parameter, in its shape."""
     value = np.asarray(entry.transform.value(jnp.asarray(z[entry.where])))
     slope = uncertainty.slope(entry, z)
-    known = uncertainty.coordinate_covariance(problem.evaluate(z), problem.layout, z)
-    own = known[entry.where, entry.where]
-    errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slope, own, slope), 0.0))
+    at = problem.evaluate(z)
+    known = uncertainty.coordinate_covariance(at, problem.layout, z)
+    unseen = uncertainty.unseen_directions(at, problem.layout)
+    errors = np.ravel(standard_errors_of(entry, z, known, unseen))
     low, high = value.ravel().copy(), value.ravel().copy()
     done: dict[tuple[float, ...], int] = {}
     for k, error in enumerate(errors):
         same = done.setdefault(tuple(np.round(slope[k], 12)), k)  # of a symmetric array
         if same != k:
             low[k], high[k] = low[same], high[same]
+        elif np.isinf(error):
+            low[k], high[k] = -np.inf, np.inf
         elif error > 0.0:
             low[k] = _end(problem, entry, k, z, -error, rise)
             high[k] = _end(problem, entry, k, z, error, rise)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, real
 from .channels import AbstractChannel
 from .sensors import Orientation
 
@@ -52,8 +52,11 @@ class Record(eqx.Module):
             _check_channel(name, channel, known.size)
         self.time = jnp.asarray(known)
         self.channels = dict(channels)
-        first = known[0] if start_time is None else float(start_time)
-        if not first <= known[0]:
+        first = known[0]
+        if start_time is not None:
+            meaning = "a time in seconds"
+            first = float(real("Record.start_time", start_time, (), meaning))
+        if first > known[0]:
             problem = f"is after the first sample, at {known[0]:g} s"
             remedy = "give a time before the samples, or leave earlier samples out"
             raise FieldError("Record.start_time", start_time, problem, remedy)

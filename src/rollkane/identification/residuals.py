@@ -130,7 +130,8 @@ def with_delay_bounds(
         owners = [r for r in records if name in r.channels]
         if not isinstance(one, Free) or field != "delay" or not owners:
             return one
-        low, high = (0.0, None) if one.bounds is None else one.bounds
+        low, high = (None, None) if one.bounds is None else one.bounds
+        low = 0.0 if low is None else low
         if high is None:
             spacing = max(float(np.median(np.diff(np.asarray(r.time)))) for r in owners)
             known = max(float(r.channels[name].delay) for r in owners)
@@ -248,9 +249,9 @@ def _of_group(
             (samples.values, samples.sigma),
             is_leaf=lambda x: x is None,
         )
+        assert channel.sigma is not None
         predicted = run.each(channel.observed)
         predicted = predicted[1:] if group.leads else predicted
-        assert channel.sigma is not None
         sampled = ~jnp.isnan(samples.values)
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)

@@ -83,6 +83,9 @@ def _powers(
 def _of_powers(powers: np.ndarray, entries: list[Coordinates]) -> str:
     involved = [(e.name, p) for e, p in zip(entries, powers, strict=True) if p]
     names = [name for name, _ in involved]
+    numbers = [len(e.transform.labels()) for e in entries]
+    if len(involved) == 1 and numbers[int(np.argmax(np.abs(powers)))] == 1:
+        return f"{names[0]} is not seen"
     if len(involved) == 1:
         return f"{names[0]}: its size is not seen, only ratios of its numbers"
     listed = " and ".join([", ".join(names[:-1]), names[-1]])
