@@ -119,4 +119,13 @@ class AbstractSensor(AbstractChannel):
 
     def misfit(self, predicted: Float[Array, "T k"]) -> Float[Array, "T k"]:
         """Measured minus predicted, with gain and bias."""
-        return self.values - (self.gain * predicted + self.bias)
+        return self.values - (self.gain[None] * predicted + self.bias[None])
+
+
+def body_point(field: str, at: ArrayLike) -> Float[Array, "3"]:
+    """Where a sensor sits on the body, body axes [m].
+
+    Raises:
+        FieldError: not three finite numbers.
+    """
+    return real(field, at, (3,), "three lengths in metres, body axes")

@@ -84,7 +84,8 @@ def grouped(
     largest = _delays(record, free)
     groups: list[Group] = []
     together: dict[str, AbstractChannel] = {}
-    for name, channel in record.channels.items():
+    # by name, as JAX orders a dictionary: misfits come back in one row
+    for name, channel in sorted(record.channels.items()):
         if channel.sigma is None:
             sigma = jnp.asarray(deviations[name])
             channel = eqx.tree_at(
@@ -229,14 +230,14 @@ def _of_group(
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)
         )
-        misfit = filled.misfit(predicted) / channel.sigma
+        misfit = filled.misfit(predicted) / channel.sigma[None]
         complete = jnp.all(sampled, axis=1, keepdims=True)
         whole = sampled if misfit.shape == sampled.shape else complete
         counted = jnp.broadcast_to(whole, misfit.shape) & count[:, None]
         reached = jnp.isfinite(misfit)
         size = jnp.sqrt(jnp.mean(jnp.where(sampled, samples.values, 0.0) ** 2))
         lost = _LOST + 2.0 * size / channel.sigma
-        finite = jnp.where(reached, misfit, lost)
+        finite = jnp.where(reached, misfit, lost[None])
         found.append((jnp.where(counted, finite, 0.0).ravel(), counted.ravel()))
     misfits, counts = zip(*found, strict=True)
     return jnp.concatenate(misfits), jnp.concatenate(counts), run.code
