@@ -46,6 +46,8 @@ from .geometry.surfaces import Torus as Torus
 from .hybrid.modes import Mode as Mode
 from .hybrid.modes import Modes as Modes
 from .hybrid.modes import Switches as Switches
+from .identification.body_sensors import Accelerometer as Accelerometer
+from .identification.body_sensors import Gyro as Gyro
 from .identification.fit_result import Fit as Fit
 from .identification.fitting import fit as fit
 from .identification.identifiability import Identifiability as Identifiability
@@ -53,9 +55,7 @@ from .identification.identifiability import identifiability as identifiability
 from .identification.parameters import Free as Free
 from .identification.parameters import Tied as Tied
 from .identification.records import Record as Record
-from .identification.sensors import Accelerometer as Accelerometer
 from .identification.sensors import ContactPath as ContactPath
-from .identification.sensors import Gyro as Gyro
 from .identification.sensors import Marker as Marker
 from .identification.sensors import NormalForce as NormalForce
 from .identification.sensors import Observed as Observed
