@@ -1,6 +1,7 @@
 """All records of a fit as one least-squares problem in the fit's coordinates."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -219,8 +220,9 @@ def _size(values: Array) -> float:
 def _prior_of(
     transform: AbstractTransform, mean: Array, deviation: Array, z: Array
 ) -> tuple[Array, Array]:
+    away: Callable[[Array], Array]
     away = lambda z: jnp.ravel((transform.value(z) - mean) / deviation)
-    return away(z), jax.jacfwd(away)(z)
+    return away(z), cast(Array, jax.jacfwd(away)(z))
 
 
 def _prior(entry: Coordinates, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -123,6 +122,7 @@ class Layout:
                 self._add(one, record)
         for tie in self.tied:
             _array_at(self.models[0], tie.path)
+        join: Callable[[list[Any]], np.ndarray]
         join = lambda parts: np.concatenate([np.atleast_1d(p) for p in parts])
         self.start = join([e.transform.start() for e in self.entries])
         self.lower = join([e.lower for e in self.entries])
@@ -187,9 +187,7 @@ def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
         value = number_in(model, keys)
     except LookupError:
         value = None
-    if not isinstance(value, (jax.Array, np.ndarray)) or not np.issubdtype(
-        value.dtype, np.floating
-    ):
+    if not paths.is_floating(value):
         raise paths.unknown(path, known_paths(model))
     return keys, value
 

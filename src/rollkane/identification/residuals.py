@@ -7,7 +7,7 @@ output times move with it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -187,7 +187,10 @@ def linearized(
         counted = jnp.concatenate([part[1] for part in parts])
         return misfit, (misfit, counted, jnp.stack([part[2] for part in parts]))
 
-    jacobian, (misfit, counted, codes) = jax.jacfwd(misfits, has_aux=True)(z)
+    jacobian, (misfit, counted, codes) = cast(
+        tuple[Array, tuple[Array, Array, Array]],
+        jax.jacfwd(misfits, has_aux=True)(z),
+    )
     return Linearized(misfit, jacobian, counted, codes)
 
 
