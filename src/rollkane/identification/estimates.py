@@ -1,6 +1,7 @@
 """What a fit found: estimates, errors and residuals."""
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 import jax.numpy as jnp
@@ -83,6 +84,7 @@ class Estimates:
         residuals = problem.channel_misfits(z)
         models = [layout.model(k, z) for k in range(len(problem.records))]
         several = len(models) > 1
+        every: Callable[[Sequence[Any]], Any]
         every = lambda parts: list(parts) if several else parts[0]
         return cls(
             estimates=layout.by_path(lambda e: e.value(z)),

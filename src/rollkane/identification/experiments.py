@@ -1,6 +1,7 @@
 """All records of a fit as one least-squares problem in the fit's coordinates."""
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -263,9 +264,10 @@ def _size(values: Array) -> float:
 def _prior_of(
     transform: AbstractTransform, mean: Array, deviation: Array, z: Array
 ) -> tuple[Array, Array]:
-    numbers = lambda value: transform.independent(value)
+    away: Callable[[Array], Array]
+    numbers = transform.independent
     away = lambda z: (numbers(transform.value(z)) - numbers(mean)) / deviation
-    return away(z), jax.jacfwd(away)(z)
+    return away(z), cast(Array, jax.jacfwd(away)(z))
 
 
 def _prior_terms(entry: Coordinates) -> tuple[AbstractTransform, Array, Array]:

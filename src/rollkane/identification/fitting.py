@@ -105,7 +105,7 @@ def fit(
 
 
 def problem_of(
-    scene: Scene,
+    scene: object,
     starts: list[Any],
     records: list[Any],
     free: tuple[Any, ...],
@@ -197,7 +197,7 @@ def _guesses(
 ) -> list[np.ndarray]:
     layout = problem.layout
     random = np.random.default_rng(seed)
-    found = [layout.start]
+    found: list[np.ndarray] = [layout.start]
     for _ in range(count - 1):
         away = spread * layout.scale * random.standard_normal(layout.size)
         found.append(np.clip(layout.start + away, layout.lower, layout.upper))

@@ -2,12 +2,12 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
+from ..kinematics.coordinates import State
 from . import uncertainty
 from .estimates import expected_errors
 from .fitting import check_usable, problem_of
@@ -64,7 +64,7 @@ def _listed(sentences: tuple[str, ...]) -> list[str]:
 
 def identifiability(
     scene: Scene,
-    start: Any,
+    start: State | Sequence[State],
     record: Record | Sequence[Record],
     free: Free | Tied | Sequence[Free | Tied],
     *,

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -119,6 +118,7 @@ class Layout:
             several = own and len(models) > 1
             for record in _owners(self.models, one.path) if several else (None,):
                 self._add(one, record)
+        join: Callable[[list[Any]], np.ndarray]
         join = lambda parts: np.concatenate([np.atleast_1d(p) for p in parts])
         self.start = join([e.transform.start() for e in self.entries])
         self.lower = join([e.lower for e in self.entries])
@@ -232,10 +232,7 @@ def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
     except LookupError:
         value = None
     read = keys[0] == "channels" and keys[2:3] in (("values",), ("sigma",))
-    number = isinstance(value, (jax.Array, np.ndarray)) and np.issubdtype(
-        value.dtype, np.floating
-    )
-    if read or not number:
+    if read or not paths.is_floating(value):
         raise paths.unknown(path, known_paths(model))
     return keys, value
 

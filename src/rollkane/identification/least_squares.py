@@ -9,7 +9,7 @@ the linear model says of the cut step.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -23,6 +23,10 @@ _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e12
 # Longest first step, relative to the coordinates' sizes: within it a model that is off
 # by as much is linear enough; it grows where the linear model proves right.
 _FIRST_REACH = 0.3
+
+
+# Of squared misfits, element by element.
+_OfSquares: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class Evaluation(NamedTuple):
@@ -78,20 +82,23 @@ class Loss(NamedTuple):
         weight: rho'(s).
     """
 
-    value: Callable[[np.ndarray], np.ndarray]
-    weight: Callable[[np.ndarray], np.ndarray]
+    value: _OfSquares
+    weight: _OfSquares
 
 
+_same: _OfSquares = lambda s: s
+_huber: _OfSquares = lambda s: np.where(
+    s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0
+)
+_huber_weight: _OfSquares = lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0))
+_soft: _OfSquares = lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0)
+_soft_weight: _OfSquares = lambda s: 1.0 / np.sqrt(1.0 + s)
+_cauchy_weight: _OfSquares = lambda s: 1.0 / (1.0 + s)
 LOSSES = {
-    "linear": Loss(lambda s: s, np.ones_like),
-    "huber": Loss(
-        lambda s: np.where(s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0),
-        lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0)),
-    ),
-    "soft_l1": Loss(
-        lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0), lambda s: 1.0 / np.sqrt(1.0 + s)
-    ),
-    "cauchy": Loss(np.log1p, lambda s: 1.0 / (1.0 + s)),
+    "linear": Loss(_same, np.ones_like),
+    "huber": Loss(_huber, _huber_weight),
+    "soft_l1": Loss(_soft, _soft_weight),
+    "cauchy": Loss(np.log1p, _cauchy_weight),
 }
 
 

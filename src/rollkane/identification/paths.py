@@ -3,8 +3,8 @@
 import dataclasses
 import difflib
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -49,7 +49,7 @@ def child(tree: Any, key: str | int) -> Any:
         try:
             if isinstance(key, int):  # of an array beyond its end, JAX takes the last
                 key = range(len(tree))[key]
-            return tree[key]
+            return cast(Any, tree)[key]
         except (TypeError, KeyError, IndexError) as error:
             raise LookupError(key) from error
     names = {field.name for field in _fields(tree)}
@@ -76,16 +76,22 @@ def replaced(tree: Any, keys: Keys, value: Any) -> Any:
     return eqx.tree_at(lambda t: found(t, keys), tree, value)
 
 
+def is_floating(value: Any) -> bool:
+    """Whether it is an array of floating numbers."""
+    known = isinstance(value, (jax.Array, np.ndarray))
+    return known and np.issubdtype(cast(Any, value).dtype, np.floating)
+
+
 def floats(tree: Any, stem: str = "") -> Iterator[str]:
     """Paths of all floating arrays of a model."""
     if isinstance(tree, (jax.Array, np.ndarray)):
-        if np.issubdtype(tree.dtype, np.floating) and tree.size:
+        if is_floating(tree) and tree.size:
             yield stem
     elif isinstance(tree, Mapping):
-        for name, part in tree.items():
+        for name, part in cast(Mapping[str, Any], tree).items():
             yield from floats(part, f"{stem}.{name}" if stem else str(name))
     elif isinstance(tree, (tuple, list)):
-        for k, part in enumerate(tree):
+        for k, part in enumerate(cast(Sequence[Any], tree)):
             yield from floats(part, f"{stem}[{k}]")
     else:
         for field in _fields(tree):

@@ -1,6 +1,8 @@
 """Confidence intervals: from standard errors, and by profiles of chi-square."""
 
+from collections.abc import Callable
 from statistics import NormalDist
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -36,6 +38,7 @@ def profile_interval(
         for entry in problem.layout.entries
         if entry.free.path == path
     }
+    of: Callable[[int], np.ndarray]
     of = lambda side: problem.layout.by_path(
         lambda e: ends[e.where.start][side] if e.where.start in ends else np.zeros(0)
     )[path]
@@ -55,7 +58,8 @@ def _of_entry(
     low, high = value.ravel().copy(), value.ravel().copy()
     done: dict[tuple[float, ...], int] = {}
     for k, error in enumerate(errors):
-        same = done.setdefault(tuple(np.round(slope[k], 12)), k)  # of a symmetric array
+        row = tuple(cast("list[float]", np.round(slope[k], 12).tolist()))
+        same = done.setdefault(row, k)  # of a symmetric array
         if same != k:
             low[k], high[k] = low[same], high[same]
         elif np.isinf(error):
@@ -77,8 +81,9 @@ def _end(
     """Where the profile has risen, on the side of the error's sign."""
     layout = problem.layout
     least = float(np.sum(problem.evaluate(z).residual ** 2))
+    number: Callable[[np.ndarray], float]
     number = lambda z: float(
-        np.ravel(np.asarray(entry.transform.value(z[entry.where])))[k]
+        np.ravel(np.asarray(entry.transform.value(jnp.asarray(z[entry.where]))))[k]
     )
     middle, width = number(z), _HELD * abs(error)
     steps, point, reached = np.sqrt(rise), z, middle

@@ -45,9 +45,7 @@ class Record(eqx.Module):
                 name that belongs to the scene.
         """
         known = _times(time)
-        if not isinstance(channels, Mapping) or not channels:
-            remedy = 'give {"gyro": rollkane.Gyro(values, sigma=0.02)}'
-            raise FieldError("Record.channels", channels, "must name channels", remedy)
+        _check_named(channels)
         for name, channel in channels.items():
             _check_channel(name, channel, known.size)
         self.time = jnp.asarray(known)
@@ -90,7 +88,13 @@ def _times(time: ArrayLike) -> np.ndarray:
     return known
 
 
-def _check_channel(name: str, channel: AbstractChannel, size: int) -> None:
+def _check_named(channels: object) -> None:
+    if not isinstance(channels, Mapping) or not channels:
+        remedy = 'give {"gyro": rollkane.Gyro(values, sigma=0.02)}'
+        raise FieldError("Record.channels", channels, "must name channels", remedy)
+
+
+def _check_channel(name: str, channel: object, size: int) -> None:
     field = f"Record.channels[{name!r}]"
     if not isinstance(channel, AbstractChannel):
         remedy = "give rollkane.Gyro, Accelerometer, Position, ..., Observed"

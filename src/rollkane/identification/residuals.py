@@ -7,7 +7,7 @@ output times move with it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -98,7 +98,8 @@ def grouped(
     largest = _delays(record, free)
     groups: list[Group] = []
     together: dict[str, AbstractChannel] = {}
-    for name, channel in record.channels.items():
+    # by name, as JAX orders a dictionary: misfits come back in one row
+    for name, channel in sorted(record.channels.items()):
         if channel.sigma is None:
             sigma = jnp.asarray(deviations[name])
             channel = eqx.tree_at(
@@ -196,7 +197,8 @@ def linearized(
         found = residuals_of(known, groups, counts, start_time, options)
         return found.misfit, found
 
-    jacobian, found = jax.jacfwd(misfits, has_aux=True)(z)
+    slopes = jax.jacfwd(misfits, has_aux=True)(z)
+    jacobian, found = cast(tuple[Array, Residuals], slopes)
     return Linearized(found.misfit, jacobian, found.counted, found.codes)
 
 

@@ -212,7 +212,7 @@ class DiagonalInertia(AbstractInertia):
 
     def shown(self, value: Array) -> Array:
         """The moments."""
-        return jnp.diagonal(value)
+        return jnp.diag(value)
 
     def labels(self) -> tuple[str, ...]:
         """Axes of the moments."""
@@ -302,10 +302,9 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
 def _product(z: Float[Array, " k"], size: int) -> Float[Array, "n n"]:
     """``L L^T`` of logarithms on the diagonal, and ratios below it."""
     diagonal = jnp.exp(z[:size])
-    L = jnp.diag(diagonal)
     rows, columns = np.tril_indices(size, -1)
     below = z[size:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
-    L = L.at[rows, columns].set(below)
+    L = jnp.diag(diagonal).at[rows, columns].set(below)
     return L @ L.T
 
 

@@ -1,10 +1,12 @@
 """How well parameters are known: covariances from J^T J, and what is not seen."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .layout import Coordinates, Layout
 from .least_squares import Evaluation
@@ -84,14 +86,16 @@ def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
 
 def slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
     """Derivative of a parameter's entries by its coordinates, shape (n, k)."""
+    flat: Callable[[Array], Array]
     flat = lambda x: jnp.ravel(entry.transform.value(x))
-    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
 
 
 def shown_slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
     """Derivative of its named numbers by its coordinates, shape (m, k)."""
+    flat: Callable[[Array], Array]
     flat = lambda x: entry.transform.shown(entry.transform.value(x))
-    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
 
 
 def names_of(layout: Layout) -> tuple[str, ...]:
