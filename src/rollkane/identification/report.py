@@ -11,7 +11,7 @@ _STRONG = 0.95  # correlations that are told
 
 def text_report(fit: Estimates) -> str:
     """Estimates with errors, how good the fit is, and what is not seen."""
-    lines = [Estimates, *_how(fit), "", *_estimates(fit), "", *_channels(fit)]
+    lines = ["Fit", *_how(fit), "", *_estimates(fit), "", *_channels(fit)]
     pairs = _correlations(fit)
     lines += ["", "Correlations above 0.95:", *pairs] if pairs else []
     if fit.unseen:
