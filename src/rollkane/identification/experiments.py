@@ -1,6 +1,6 @@
 """All records of a fit as one least-squares problem in the fit's coordinates."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -31,7 +31,10 @@ class Problem:
         records: What was measured.
         deviations: Of channels without sigma, by record and name.
         rollouts: Runs that were made.
+        progress: Hears of every evaluation: rollouts so far, and chi2.
     """
+
+    progress: Callable[[int, float], None] | None = None
 
     def __init__(
         self,
@@ -114,7 +117,10 @@ class Problem:
                 whole[:, entry.where] = slope
                 residuals.append(value)
                 jacobians.append(whole)
-        return Evaluation(np.concatenate(residuals), np.concatenate(jacobians), failed)
+        residual = np.concatenate(residuals)
+        if self.progress is not None:
+            self.progress(self.rollouts, float(residual @ residual))
+        return Evaluation(residual, np.concatenate(jacobians), failed)
 
     def _linearized(
         self, record: int, z: np.ndarray, horizon: float

@@ -1,6 +1,6 @@
 """Fit: parameters of a scene from records of its motion."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from .least_squares import Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
 from .residuals import Options, with_delay_bounds
+from .unit_hints import hint_of_units
 
 STRATEGIES = ("auto", "single", "progressive")
 _NOISE_ROUNDS = 4  # deviations that are estimated settle within
@@ -38,6 +39,7 @@ def fit(
     max_steps: int | None = None,
     max_evaluations: int = 200,
     method: str = "auto",
+    progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Parameters for which the motion agrees best with records of it.
 
@@ -63,6 +65,7 @@ def fit(
         max_steps: Most steps of a run.
         max_evaluations: Points tried by each search.
         method: Of the runs: ``"auto"``, ``"native"`` or ``"diffrax"``.
+        progress: Hears of every point that is tried: runs so far, and chi2 there.
 
     Returns:
         The estimates and what is known about them.
@@ -86,6 +89,8 @@ def fit(
     if not problem.evaluate(z0).usable:
         problem_text = "gives no numbers: a run or its derivatives are not finite"
         raise FieldError("fit.start", "...", problem_text, "begin nearer to the record")
+    hint_of_units(problem, z0)
+    problem.progress = progress
     searches = [
         _search(problem, guess, known, strategy, max_evaluations) for guess in guesses
     ]
