@@ -104,6 +104,8 @@ def test_a_part_keeps_its_times(csv_file):
     np.testing.assert_array_equal(record.time, TIMES[1:4])
     np.testing.assert_array_equal(record.channels["gyro"].values, RATES[1:4])
     assert record.start_time == TIMES[1]
+    later = rk.read_record(path, **GYRO, between=(0.01, None))
+    np.testing.assert_array_equal(later.time, TIMES[1:])
 
 
 def test_a_data_frame():

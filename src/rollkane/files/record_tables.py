@@ -55,7 +55,7 @@ class Table(NamedTuple):
             if name in self.names:
                 remedy = f"rename one of them; the columns are: {known}"
                 self.refuse(field, name, f"has two columns {name!r}", remedy)
-            near = difflib.get_close_matches(name, self.names, n=1)
+            near = difflib.get_close_matches(name, self.names, n=1, cutoff=0.5)
             meant = f"did you mean {near[0]!r}? " if near else ""
             remedy = f"{meant}the columns are: {known}"
             self.refuse(field, name, f"has no column {name!r}", remedy)

@@ -63,7 +63,7 @@ def read_record(
     sigma: Mapping[str, ArrayLike] | None = None,
     units: Mapping[str, str] | None = None,
     at: Mapping[str, ArrayLike] | None = None,
-    between: tuple[float, float] | None = None,
+    between: tuple[float | None, float | None] | None = None,
     **channels: Columns,
 ) -> Record:
     """A record from a CSV or NetCDF file, or from a data frame.
@@ -84,7 +84,7 @@ def read_record(
             units count without it.
         at: Where a sensor or marker sits by channel, body axes [m], shape (3,).
         between: First and last time [s] of the rows that are kept, which keep their
-            times; None: all.
+            times; None for all, or for either end.
         channels: Columns by channel: ``gyro``, ``accelerometer``, ``position``,
             ``marker``, ``contact_path`` (three each), ``orientation`` (four, scalar
             first), ``normal_force`` (one); a number behind the name makes one more of
@@ -100,19 +100,20 @@ def read_record(
     """
     kinds = _kinds(channels)
     table = table_of(path)
-    settings = {"sigma": sigma or {}, "units": units or {}, "at": at or {}}
-    for name, given in settings.items():
-        _check_keys(name, given, [*channels, *(("time",) if name == "units" else ())])
-    times = _times(table, time, settings["units"].get("time"))
+    sigma, units, at = sigma or {}, units or {}, at or {}
+    _check_keys("sigma", sigma, [*channels])
+    _check_keys("units", units, ["time", *channels])
+    _check_keys("at", at, [*channels])
+    times = _times(table, time, units.get("time"))
     kept = _kept(table, times, between)
     found: dict[str, AbstractChannel] = {}
     for name, kind in kinds.items():
         names = _names(name, channels[name], kind.columns)
-        worth = _worth(table, name, names, kind.units, settings["units"].get(name))
+        worth = _worth(table, name, names, kind.units, units.get(name))
         columns = [table.column(name, one)[kept] for one in names]
         samples = worth * np.stack(columns, axis=1)
-        place = _place(name, kind, settings["at"])
-        found[name] = kind.make(samples, settings["sigma"].get(name), **place)
+        place = _place(name, kind, at)
+        found[name] = kind.make(samples, sigma.get(name), **place)
     return Record(times[kept], found)
 
 
@@ -149,8 +150,8 @@ def _check_keys(field: str, given: Mapping[str, Any], known: list[str]) -> None:
 
 
 def _names(channel: str, columns: Columns, count: int) -> tuple[str, ...]:
-    names = (columns,) if isinstance(columns, str) else tuple(columns)
-    if len(names) != count or not all(isinstance(name, str) for name in names):
+    names = (columns,) if isinstance(columns, str) else tuple(map(str, columns))
+    if len(names) != count:
         problem = f"must name {count} column{'s' if count > 1 else ''}"
         remedy = 'give their names, for example ("wx", "wy", "wz")'
         raise FieldError(f"{READER}.{channel}", columns, problem, remedy)
@@ -218,7 +219,8 @@ def _kept(table: Table, times: Float[np.ndarray, " T"], between: Any) -> slice:
         return slice(0, times.size)
     remedy = f"give two times of {times[0]:g} to {times[-1]:g} s, the first one first"
     try:
-        first, last = (float(x) for x in between)
+        pairs = zip(between, (-np.inf, np.inf), strict=True)
+        first, last = (float(open_end if x is None else x) for x, open_end in pairs)
     except (TypeError, ValueError) as error:
         field = f"{READER}.between"
         raise FieldError(field, between, "must be two times", remedy) from error

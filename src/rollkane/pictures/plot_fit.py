@@ -162,9 +162,10 @@ def _draw(upper: "Axes", lower: "Axes", samples: Samples) -> None:
         )
         line = samples.predicted[:, k]
         upper.plot(samples.time, line, "-", color=colour, linewidth=1.0, label=label)
-    for k in range(samples.misfit.shape[1]):
-        # rotations about x, y and z of a quaternion have the colours of its vector part
-        colour = _COLOURS[(k + values.shape[1] - samples.misfit.shape[1]) % 6]
+    # rotations about x, y and z of a quaternion have the colours of its vector part
+    first: int = values.shape[1] - samples.misfit.shape[1]
+    for k in range(int(samples.misfit.shape[1])):
+        colour = _COLOURS[(k + first) % len(_COLOURS)]
         misfit = samples.misfit[:, k]
         lower.plot(samples.time, misfit, ".", color=colour, markersize=size, alpha=0.7)
     lower.axhspan(-2.0, 2.0, color="#eceff3", zorder=0)
