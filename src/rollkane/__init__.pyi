@@ -47,13 +47,21 @@ from .geometry.surfaces import Torus as Torus
 from .hybrid.modes import Mode as Mode
 from .hybrid.modes import Modes as Modes
 from .hybrid.modes import Switches as Switches
+from .identification.experiment_design import ExperimentDesign as ExperimentDesign
+from .identification.experiment_design import design_experiment as design_experiment
 from .identification.fit_result import Fit as Fit
 from .identification.fitting import fit as fit
 from .identification.identifiability import Identifiability as Identifiability
 from .identification.identifiability import identifiability as identifiability
+from .identification.likelihood import (
+    negative_log_likelihood as negative_log_likelihood,
+)
 from .identification.parameters import Free as Free
 from .identification.parameters import Tied as Tied
+from .identification.posterior import posterior as posterior
 from .identification.records import Record as Record
+from .identification.sensitivity import Sensitivity as Sensitivity
+from .identification.sensitivity import sensitivity as sensitivity
 from .identification.sensors import Accelerometer as Accelerometer
 from .identification.sensors import ContactPath as ContactPath
 from .identification.sensors import Gyro as Gyro

@@ -25,6 +25,8 @@ FOLDERS = [
 ]
 # Methods of a result that call a function of a folder behind it, imported when called.
 METHODS = {
+    ("identification.sensitivity", "files.sensitivity_dataset"),
+    ("identification.sensitivity", "pictures.plot_sensitivity"),
     ("simulation.trajectory", "files.export"),
     ("simulation.trajectory", "pictures.plotting"),
     ("simulation.trajectory", "pictures.viewer"),

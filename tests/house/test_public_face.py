@@ -13,6 +13,12 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "ExperimentDesign",
+    "design_experiment",
+    "negative_log_likelihood",
+    "posterior",
+    "Sensitivity",
+    "sensitivity",
     "Accelerometer",
     "ContactPath",
     "Gyro",

@@ -119,4 +119,4 @@ class AbstractSensor(AbstractChannel):
 
     def misfit(self, predicted: Float[Array, "T k"]) -> Float[Array, "T k"]:
         """Measured minus predicted, with gain and bias."""
-        return self.values - (self.gain * predicted + self.bias)
+        return self.values - (self.gain[None] * predicted + self.bias[None])

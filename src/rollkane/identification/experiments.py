@@ -142,6 +142,33 @@ class Problem:
         misfit, jacobian, counted = (np.asarray(x) for x in parts)
         return (misfit, jacobian, counted), where, np.asarray(found.codes)
 
+    def pure(self) -> Callable[[Array], tuple[Array, Array]]:
+        """Residuals and their derivatives as a function that JAX can trace."""
+        parts = [self.layout.of_record(k) for k in range(len(self.records))]
+        with_prior = [e for e in self.layout.entries if e.free.prior is not None]
+
+        def evaluate(z: Array) -> tuple[Array, Array]:
+            rows: list[tuple[Array, Array]] = []
+            for record, (slots, where) in enumerate(parts):
+                one = self.records[record]
+                groups, counts = within(self.groups[record], np.inf)
+                model, known = (
+                    self.layout.models[record],
+                    (one.start_time, self.options),
+                )
+                found = linearized(slots, model, groups, counts, *known, z[where])
+                whole = jnp.zeros((found.misfit.shape[0], z.shape[0]), z.dtype)
+                whole = whole.at[:, where].set(found.jacobian)
+                rows.append((found.misfit, whole))
+            for entry in with_prior:
+                value, slope = _prior_of(*_prior_terms(entry), z[entry.where])
+                whole = jnp.zeros((value.shape[0], z.shape[0]), z.dtype)
+                rows.append((value, whole.at[:, entry.where].set(slope)))
+            residuals, jacobians = zip(*rows, strict=True)
+            return jnp.concatenate(residuals), jnp.concatenate(jacobians)
+
+        return evaluate
+
     def samples(self, horizon: float = np.inf) -> int:
         """Numbers that were measured up to a horizon."""
         return int(sum(np.sum(c) for c in self._sampled(horizon)))
@@ -229,13 +256,17 @@ def _prior_of(
     return away(z), jax.jacfwd(away)(z)
 
 
+def _prior_terms(entry: Coordinates) -> tuple[AbstractTransform, Array, Array]:
+    """Coordinates of a parameter, and its prior's mean and deviation in its shape."""
+    assert entry.free.prior is not None
+    shape = np.shape(entry.transform.value(jnp.asarray(entry.transform.start())))
+    mean, deviation = (
+        jnp.broadcast_to(jnp.asarray(x, float), shape) for x in entry.free.prior
+    )
+    return entry.transform, mean, deviation
+
+
 def _prior(entry: Coordinates, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance from a prior's mean over its deviation, and derivatives."""
-    assert entry.free.prior is not None
-    mean, deviation = (jnp.asarray(x, float) for x in entry.free.prior)
-    shape = np.shape(entry.transform.value(jnp.asarray(entry.transform.start())))
-    mean, deviation = (jnp.broadcast_to(x, shape) for x in (mean, deviation))
-    value, slope = _prior_of(
-        entry.transform, mean, deviation, jnp.asarray(z[entry.where])
-    )
+    value, slope = _prior_of(*_prior_terms(entry), jnp.asarray(z[entry.where]))
     return np.asarray(value), np.asarray(slope)

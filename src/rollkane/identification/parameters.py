@@ -87,7 +87,8 @@ def number_in(model: Model, keys: paths.Keys) -> Any:
     return paths.found(getattr(model, str(keys[0])), keys[1:])
 
 
-def _with(model: Model, keys: paths.Keys, value: Array) -> Model:
+def with_number(model: Model, keys: paths.Keys, value: Array) -> Model:
+    """The model with another number at keys."""
     root = str(keys[0])
     return model._replace(
         **{root: paths.replaced(getattr(model, root), keys[1:], value)}
@@ -137,9 +138,9 @@ class Slots(eqx.Module):
         """The model with the parameters at coordinates z."""
         values = self.values(z)
         for slot in self.free:
-            model = _with(model, slot.keys, values[slot.path])
+            model = with_number(model, slot.keys, values[slot.path])
         for _, keys, function in self.tied:
             old = number_in(model, keys)
             new = jnp.broadcast_to(jnp.asarray(function(values), old.dtype), old.shape)
-            model = _with(model, keys, new)
+            model = with_number(model, keys, new)
         return model

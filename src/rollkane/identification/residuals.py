@@ -53,6 +53,20 @@ class Group(eqx.Module):
     leads: bool = eqx.field(static=True)
 
 
+class Residuals(NamedTuple):
+    """Misfits of a model.
+
+    Attributes:
+        misfit: Over their deviations [1], shape (N,); 0 where no sample is.
+        counted: Which of them are samples, shape (N,).
+        codes: Of the runs, shape (G,).
+    """
+
+    misfit: Float[Array, " N"]
+    counted: Bool[Array, " N"]
+    codes: Array
+
+
 class Linearized(eqx.Module):
     """Misfits at some parameters.
 
@@ -176,18 +190,30 @@ def linearized(
 ) -> Linearized:
     """Misfits and their derivatives by a record's coordinates."""
 
-    def misfits(z: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+    def misfits(z: Array) -> tuple[Array, Residuals]:
         known = slots.applied(model, z)
-        parts = [
-            _of_group(known, group, count, start_time, options)
-            for group, count in zip(groups, counts, strict=True)
-        ]
-        misfit = jnp.concatenate([part[0] for part in parts])
-        counted = jnp.concatenate([part[1] for part in parts])
-        return misfit, (misfit, counted, jnp.stack([part[2] for part in parts]))
+        found = residuals_of(known, groups, counts, start_time, options)
+        return found.misfit, found
 
-    jacobian, (misfit, counted, codes) = jax.jacfwd(misfits, has_aux=True)(z)
-    return Linearized(misfit, jacobian, counted, codes)
+    jacobian, found = jax.jacfwd(misfits, has_aux=True)(z)
+    return Linearized(found.misfit, jacobian, found.counted, found.codes)
+
+
+def residuals_of(
+    model: Model,
+    groups: tuple[Group, ...],
+    counts: tuple[Bool[Array, " T"], ...],
+    start_time: Float[Array, ""],
+    options: Options,
+) -> Residuals:
+    """Misfits of a model."""
+    parts = [
+        _of_group(model, group, count, start_time, options)
+        for group, count in zip(groups, counts, strict=True)
+    ]
+    misfit = jnp.concatenate([part[0] for part in parts])
+    counted = jnp.concatenate([part[1] for part in parts])
+    return Residuals(misfit, counted, jnp.stack([part[2] for part in parts]))
 
 
 def _of_group(
@@ -229,13 +255,13 @@ def _of_group(
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)
         )
-        misfit = filled.misfit(predicted) / channel.sigma
+        misfit = filled.misfit(predicted) / channel.sigma[None]
         complete = jnp.all(sampled, axis=1, keepdims=True)
         whole = sampled if misfit.shape == sampled.shape else complete
         counted = jnp.broadcast_to(whole, misfit.shape) & count[:, None]
         reached = jnp.isfinite(misfit)
         size = jnp.sqrt(jnp.mean(jnp.where(sampled, samples.values, 0.0) ** 2))
-        lost = _LOST + 2.0 * size / channel.sigma
+        lost = _LOST + 2.0 * size / channel.sigma[None]
         finite = jnp.where(reached, misfit, lost)
         found.append((jnp.where(counted, finite, 0.0).ravel(), counted.ravel()))
     misfits, counts = zip(*found, strict=True)

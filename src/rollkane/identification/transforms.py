@@ -17,11 +17,19 @@ from ..validation.checks import FieldError
 # Below this ratio of second moments a body counts as flat: its thickness is 1e-4 of its
 # size, and adds 1e-8 to its moments of inertia.
 FLAT = 1e-8
+# Of an inertia's named entries: moments first
+_ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 FORMS = ("full", "diagonal", "scale")
 
 
 class AbstractTransform(eqx.Module):
-    """A parameter by unconstrained coordinates."""
+    """A parameter by unconstrained coordinates.
+
+    Attributes:
+        reference: The value that was given.
+    """
+
+    reference: Array
 
     def value(self, z: Float[Array, " k"]) -> Array:
         """The parameter at coordinates z, in its own shape."""
@@ -39,6 +47,10 @@ class AbstractTransform(eqx.Module):
         """Independent numbers of a value, which names of a covariance stand for."""
         return jnp.ravel(value)
 
+    def changed(self, change: Float[Array, " n"]) -> Array:
+        """The given value with its named numbers changed, shape that of the value."""
+        return self.reference + jnp.reshape(change, self.reference.shape)
+
     def labels(self) -> tuple[str, ...]:
         """Names of these numbers, behind the parameter's own."""
         return entries(np.shape(self.value(jnp.asarray(self.start()))))
@@ -54,8 +66,6 @@ def entries(shape: tuple[int, ...]) -> tuple[str, ...]:
 
 class Plain(AbstractTransform):
     """Numbers as they are."""
-
-    reference: Array
 
     def value(self, z: Float[Array, " k"]) -> Array:
         """The numbers."""
@@ -74,8 +84,6 @@ class Plain(AbstractTransform):
 class Positive(AbstractTransform):
     """Positive numbers, by their logarithms."""
 
-    reference: Array
-
     def value(self, z: Float[Array, " k"]) -> Array:
         """The numbers."""
         return jnp.reshape(jnp.exp(z), self.reference.shape)
@@ -87,8 +95,6 @@ class Positive(AbstractTransform):
 
 class Scaled(AbstractTransform):
     """An array by one positive factor: its ratios stay."""
-
-    reference: Array
 
     def value(self, z: Float[Array, " 1"]) -> Array:
         """The array."""
@@ -102,6 +108,10 @@ class Scaled(AbstractTransform):
         """The factor."""
         return (jnp.sum(value * self.reference) / jnp.sum(self.reference**2))[None]
 
+    def changed(self, change: Float[Array, " 1"]) -> Array:
+        """The array with its factor changed from 1."""
+        return self.reference * (1.0 + change[0])
+
     def labels(self) -> tuple[str, ...]:
         """That it is a factor."""
         return (" (factor)",)
@@ -114,8 +124,6 @@ class AbstractInertia(AbstractTransform):
     principal moment exceeds the sum of the others.
     """
 
-    reference: Array
-
     def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
         """S [kg m^2], of density times products of coordinates."""
         raise NotImplementedError
@@ -127,8 +135,14 @@ class AbstractInertia(AbstractTransform):
 
     def shown(self, value: Array) -> Array:
         """Moments, then entries off the diagonal."""
-        rows, columns = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-        return value[rows, columns]
+        return value[_ROWS, _COLUMNS]
+
+    def changed(self, change: Float[Array, " n"]) -> Float[Array, "3 3"]:
+        """The inertia with named entries changed; it stays symmetric."""
+        rows, columns = _ROWS[: change.shape[0]], _COLUMNS[: change.shape[0]]
+        added = jnp.zeros_like(self.reference).at[rows, columns].set(change)
+        mirrored = jnp.where(jnp.eye(3, dtype=bool), 0.0, added.T)
+        return self.reference + added + mirrored
 
     def labels(self) -> tuple[str, ...]:
         """Axes of the entries."""
@@ -196,8 +210,6 @@ class DiagonalInertia(AbstractInertia):
 class Rotated(AbstractTransform):
     """A unit quaternion, by a small rotation about fixed axes [rad]."""
 
-    reference: Float[Array, "4"]
-
     def value(self, z: Float[Array, " 3"]) -> Float[Array, "4"]:
         """The quaternion: ``exp(z / 2)`` times the one that was given."""
         size = jnp.sum(z * z)
@@ -221,6 +233,10 @@ class Rotated(AbstractTransform):
         back = self.reference * jnp.array([1.0, -1.0, -1.0, -1.0])
         turned = multiply(value, back) / jnp.sum(self.reference**2)
         return 2.0 * turned[1:]
+
+    def changed(self, change: Float[Array, " 3"]) -> Float[Array, "4"]:
+        """The quaternion rotated about fixed axes [rad]."""
+        return self.value(change)
 
     def labels(self) -> tuple[str, ...]:
         """Fixed axes."""

@@ -1,0 +1,237 @@
+"""Which experiment makes wanted parameters best known, before it is made."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..dynamics.scene import Scene
+from ..hybrid.modes import Modes
+from ..kinematics.coordinates import State
+from ..validation.checks import FieldError, whole
+from . import uncertainty
+from .estimates import expected_errors
+from .experiments import Problem
+from .fitting import problem_of
+from .layout import Layout
+from .parameters import Free, Model
+from .records import Record
+from .residuals import Options, linearized, within
+
+CRITERIA = ("D", "A")
+_SMALLEST = 1e-3  # step at which the ascent ends [of the variables' size]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ExperimentDesign:
+    """The best of several experiments, and what it would tell.
+
+    Attributes:
+        scene: Its scene.
+        start: Its start.
+        scores: Of the candidates, shape (C,): minus the logarithm of the wanted
+            parameters' relative errors [nat], geometric mean ("D") or root mean square
+            ("A"); minus infinity where some are not seen.
+        best: Number of the best candidate.
+        score: Of the design; higher than the best candidate's where it was varied.
+        standard_errors: That it would give, by path.
+        history: Scores along the ascent.
+    """
+
+    scene: Scene
+    start: State
+    scores: np.ndarray
+    best: int
+    score: float
+    standard_errors: dict[str, np.ndarray]
+    history: np.ndarray
+
+
+class _Plan(NamedTuple):
+    """What all experiments have in common."""
+
+    record: Record
+    free: tuple[Free, ...]
+    wanted: tuple[str, ...]
+    criterion: str
+    modes: Modes | None
+    options: Options
+
+    def problem(self, scene: Scene, start: State) -> Problem:
+        """The fit that would follow."""
+        return problem_of(
+            scene, [start], [self.record], self.free, self.modes, self.options
+        )
+
+    def chosen(self, layout: Layout) -> np.ndarray:
+        """Coordinates of the wanted parameters."""
+        return np.concatenate(
+            [
+                np.arange(entry.where.start, entry.where.stop)
+                for entry in layout.entries
+                if entry.free.path in self.wanted
+            ]
+        )
+
+
+def design_experiment(
+    scene: Scene,
+    candidates: State | Sequence[State | tuple[Scene, State]],
+    record: Record,
+    free: Free | Sequence[Free],
+    *,
+    wanted: Sequence[str] | None = None,
+    criterion: str = "D",
+    vary: Free | Sequence[Free] = (),
+    steps: int = 20,
+    modes: Modes | None = None,
+    rtol: float | None = None,
+    method: str = "auto",
+) -> ExperimentDesign:
+    """The start (or scene, or base motion) that makes parameters best known.
+
+    Every candidate is simulated with its derivatives; the best one is then improved
+    along the criterion's gradient by what may vary.
+
+    Args:
+        scene: The model.
+        candidates: Starts, or pairs of a scene and a start.
+        record: Times, channels and their noise; the samples do not matter.
+        free: Parameters that the record will be fitted with, all of them.
+        wanted: Paths of those that matter; None: all.
+        criterion: ``"D"``: the volume of the confidence region; ``"A"``: the mean
+            square of relative errors.
+        vary: Numbers of the start or scene that may be changed, with bounds.
+        steps: Most steps of the ascent.
+        modes: How the contact may change in the runs.
+        rtol: Relative tolerance of the runs [1].
+        method: Of the runs.
+
+    Returns:
+        The best experiment and what it would tell.
+
+    Raises:
+        FieldError: unknown names, no candidate that shows all wanted parameters.
+    """
+    listed = [candidates] if isinstance(candidates, State) else list(candidates)
+    pairs = [c if isinstance(c, tuple) else (scene, c) for c in listed]
+    chosen = (free,) if isinstance(free, Free) else tuple(free)
+    names = tuple(f.path for f in chosen) if wanted is None else tuple(wanted)
+    for name in names:
+        if name not in {f.path for f in chosen}:
+            remedy = f"use some of {tuple(f.path for f in chosen)}"
+            field = "design_experiment.wanted"
+            raise FieldError(field, name, "is not among the free ones", remedy)
+    if criterion not in CRITERIA:
+        field, remedy = "design_experiment.criterion", f"use one of {CRITERIA}"
+        raise FieldError(field, criterion, "is not known", remedy)
+    if not pairs:
+        remedy = "give starts"
+        raise FieldError("design_experiment.candidates", pairs, "is empty", remedy)
+    steps = whole("design_experiment.steps", steps, 0, "give how many")
+    options = Options(rtol, None, None, method)
+    plan = _Plan(record, chosen, names, criterion, modes, options)
+    scores = np.array([_score(plan, plan.problem(*pair)) for pair in pairs])
+    best = int(np.argmax(scores))
+    if not np.isfinite(scores[best]):
+        remedy = "see rollkane.identifiability for what is not seen, and hold it"
+        field = "design_experiment.candidates"
+        raise FieldError(field, "...", "do not show all wanted parameters", remedy)
+    found, history = pairs[best], np.array([scores[best]])
+    variables = (vary,) if isinstance(vary, Free) else tuple(vary)
+    if variables:
+        found, history = _ascended(plan, *found, variables, steps)
+    problem = plan.problem(*found)
+    at = problem.evaluate(problem.layout.start)
+    return ExperimentDesign(
+        scene=found[0],
+        start=found[1],
+        scores=scores,
+        best=best,
+        score=float(history[-1]),
+        standard_errors=expected_errors(problem, at, problem.layout.start),
+        history=history,
+    )
+
+
+def _score(plan: _Plan, problem: Problem) -> float:
+    """Of one experiment; minus infinity where wanted parameters are not seen."""
+    layout = problem.layout
+    at = problem.evaluate(layout.start)
+    if at.failed or not at.usable:
+        return -np.inf
+    unseen = uncertainty.unseen_directions(at, layout)
+    if unseen.size and np.any(np.abs(unseen[:, plan.chosen(layout)]) > 1e-6):
+        return -np.inf
+    known = uncertainty.coordinate_covariance(at, layout, layout.start)
+    own = np.ix_(plan.chosen(layout), plan.chosen(layout))
+    scale = layout.scale[plan.chosen(layout)]
+    covariance = known[own] / np.outer(scale, scale)
+    if plan.criterion == "A":
+        return -0.5 * float(np.log(np.mean(np.diag(covariance))))
+    return -0.5 * float(np.linalg.slogdet(covariance)[1]) / scale.size
+
+
+def _ascended(
+    plan: _Plan, scene: Scene, start: State, vary: tuple[Free, ...], steps: int
+) -> tuple[tuple[Scene, State], np.ndarray]:
+    """The experiment after an ascent along the gradient, and the scores on its path."""
+    model = Model(scene, start, plan.modes, plan.record.channels)
+    variables = Layout([model], vary)
+    overlap = {f.path for f in vary} & {f.path for f in plan.free}
+    if overlap:
+        field, remedy = "design_experiment.vary", "vary others"
+        raise FieldError(field, sorted(overlap), "are to be found", remedy)
+    slope_of = _gradient(plan, model, variables)
+    d, length = variables.start, 0.1
+
+    def moved(d: np.ndarray) -> tuple[Scene, State]:
+        found = variables.model(0, d)
+        return found.scene, found.start
+
+    scores = [_score(plan, plan.problem(scene, start))]
+    for _ in range(steps):
+        slope = variables.scale * slope_of(d)
+        if not np.isfinite(slope).all() or not np.any(slope):
+            break
+        while length > _SMALLEST:
+            step = length * variables.scale * slope / np.abs(slope).max()
+            tried = np.clip(d + step, variables.lower, variables.upper)
+            score = _score(plan, plan.problem(*moved(tried)))
+            if score > scores[-1]:
+                d, length = tried, 2.0 * length
+                scores.append(score)
+                break
+            length *= 0.5
+        else:
+            break
+    return moved(d), np.array(scores)
+
+
+def _gradient(
+    plan: _Plan, model: Model, variables: Layout
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Derivative of the criterion by the variables."""
+    problem = plan.problem(model.scene, model.start)
+    layout = problem.layout
+    slots, _ = layout.of_record(0)
+    changed, _ = variables.of_record(0)
+    groups, counts = within(problem.groups[0], np.inf)
+    chosen, scale = plan.chosen(layout), jnp.asarray(layout.scale)
+
+    def score(d: Array) -> Array:
+        time, z = plan.record.start_time, jnp.asarray(layout.start)
+        now = changed.applied(model, d)
+        found = linearized(slots, now, groups, counts, time, plan.options, z)
+        columns = found.jacobian * scale[None]
+        covariance = jnp.linalg.inv(columns.T @ columns)[chosen][:, chosen]
+        if plan.criterion == "A":
+            return -0.5 * jnp.log(jnp.mean(jnp.diagonal(covariance)))
+        return -0.5 * jnp.linalg.slogdet(covariance)[1] / chosen.size
+
+    slope = jax.jit(jax.jacfwd(score))
+    return lambda d: np.asarray(slope(jnp.asarray(d)))

@@ -1,0 +1,88 @@
+"""Posteriors: samples of the parameters, by Hamiltonian Monte Carlo."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..validation.checks import FieldError, whole
+from . import uncertainty
+from .experiments import Problem
+from .fit_result import Fit
+
+
+def posterior(
+    fit: Fit, draws: int = 1000, warmup: int = 500, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """Samples of the parameters given the records (extra ``inference``: numpyro).
+
+    By the No-U-Turn sampler, from the fit's likelihood and priors; what has no prior is
+    flat in the coordinates of the fit (logarithms of positive numbers). Begins at the
+    estimates, in directions and units in which the linear covariance is one.
+
+    Args:
+        fit: What :func:`rollkane.fit` found.
+        draws: How many samples.
+        warmup: How many before, in which the sampler finds its step.
+        seed: Of the random numbers.
+
+    Returns:
+        By path, draws in front of the parameter's shape [its unit].
+
+    Raises:
+        FieldError: parameters that the records do not show, bounds, a robust loss.
+        ModuleNotFoundError: numpyro is not installed.
+    """
+    draws = whole("posterior.draws", draws, 1, "give how many samples")
+    warmup = whole("posterior.warmup", warmup, 1, "give how many samples")
+    layout, z = fit.problem.layout, fit.search.minimum.z
+    if fit.unseen:
+        remedy = "hold one of them, or give a prior"
+        raise FieldError("posterior.fit", fit.unseen, "has unseen parameters", remedy)
+    if np.isfinite(layout.lower).any() or np.isfinite(layout.upper).any():
+        remedy = "leave bounds out, or give priors instead"
+        raise FieldError("posterior.fit", "...", "has bounded parameters", remedy)
+    if fit.loss != "linear":
+        raise FieldError("posterior.fit.loss", fit.loss, "is not a likelihood", "refit")
+    known = uncertainty.coordinate_covariance(fit.search.minimum.at, layout, z)
+    root = np.linalg.cholesky(known)
+    samples = _sampled(_potential(fit.problem, z, root), z.size, draws, warmup, seed)
+    found = z + samples @ root.T
+    return layout.by_path(lambda e: np.stack([e.value(x) for x in found]))
+
+
+def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
+    """Half of chi2 in whitened coordinates, with its gradient ``J^T r``."""
+    evaluate = problem.pure()
+
+    @jax.custom_vjp
+    def potential(u: Float[Array, " P"]) -> Float[Array, ""]:
+        residual, _ = evaluate(jnp.asarray(z) + jnp.asarray(root) @ u)
+        return 0.5 * jnp.sum(residual**2)
+
+    def forward(u: Array) -> tuple[Array, Array]:
+        residual, jacobian = evaluate(jnp.asarray(z) + jnp.asarray(root) @ u)
+        slope = jnp.asarray(root).T @ (jacobian.T @ residual)
+        return 0.5 * jnp.sum(residual**2), slope
+
+    def backward(slope: Array, cotangent: Array) -> tuple[Array]:
+        return (cotangent * slope,)
+
+    potential.defvjp(forward, backward)
+    return potential
+
+
+def _sampled(
+    potential: Any, size: int, draws: int, warmup: int, seed: int
+) -> np.ndarray:
+    """Draws in whitened coordinates, shape (draws, P)."""
+    from numpyro.infer import MCMC, NUTS
+
+    kernel = NUTS(potential_fn=potential, dense_mass=False)
+    chain = MCMC(kernel, num_warmup=warmup, num_samples=draws, progress_bar=False)
+    # numpyro relies on both promotions, whatever the caller has set
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        chain.run(jax.random.PRNGKey(seed), init_params=jnp.zeros(size))
+    return np.asarray(chain.get_samples())
