@@ -181,6 +181,11 @@ REFUSED = {
         GYRO,
         ("line 2, column 'wx'", "decimal points"),
     ),
+    "an open quote": (
+        ("t,wx,wy,wz,note", '0,1,2,3,"begun', '0.1,1,2,3,"'),
+        GYRO,
+        ("a quote that goes on",),
+    ),
     "a short row": ((HEADER, *WRITTEN[:2], "0.02,1"), GYRO, ("line 4", "2 cells")),
     "an unknown unit": (
         (HEADER, *WRITTEN),

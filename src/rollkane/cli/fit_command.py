@@ -148,7 +148,7 @@ def fit(
             click.echo(line)
     _write(found, ends, targets, file.title, quiet)
     if not found.converged:
-        remedy = "begin nearer, use less of the record, or give --starts"
+        remedy = "begin nearer, use less of the record, or give more --starts"
         click.echo(f"error: the fit did not converge; {remedy}", err=True)
         ctx.exit(STOPPED_EARLY)
 

@@ -115,22 +115,26 @@ def _of_csv(path: str | os.PathLike[str]) -> Table:
         file.refuse(None, "has no rows of samples", remedy)
     header = whole[numbers[0]]
     separator = next((mark for mark in _SEPARATORS if mark in header), ",")
-    rows: list[list[str]] = []
-    for k in numbers:
-        (cells,) = csv.reader([whole[k]], delimiter=separator)
-        rows.append([cell.strip() for cell in cells])
-    names = tuple(rows[0])
+    rows = list(csv.reader((whole[k] for k in numbers), delimiter=separator))
+    if len(rows) != len(numbers):
+        file.refuse(None, "has a quote that goes on in the next line", "mend it")
+    names = tuple(name.strip() for name in rows[0])
     if all(_is_number(name) for name in names):
         remedy = "write the columns' names into its first row"
         file.refuse(numbers[0], "has numbers where the header should be", remedy)
-    for k, cells in zip(numbers, rows, strict=True):
-        if len(cells) != len(names):
-            problem = f"has {len(cells)} cells below {len(names)} names"
+    for k, row in zip(numbers, rows, strict=True):
+        if len(row) != len(names):
+            problem = f"has {len(row)} cells below {len(names)} names"
             file.refuse(k, problem, "mend the row")
+
+    def cells(name: str) -> list[str]:
+        k = names.index(name)
+        return [row[k] for row in rows[1:]]
+
     return Table(
         source=str(path),
         names=names,
-        cells=lambda name: [cells[names.index(name)] for cells in rows[1:]],
+        cells=cells,
         row=lambda k: f"line {numbers[k + 1] + 1}",
         units={},
     )

@@ -50,9 +50,10 @@ def _warn(name: str, ratio: float) -> None:
         (1.0 / _DEGREES, "radians per second that were turned from degrees", "rad/s"),
     ):
         if abs(ratio / factor - 1.0) < _NEAR:
+            channel = name.split()[0]
             message = (
                 f"{name}: its values look like {looks}: they are {ratio:.3g} times "
-                "what the guess predicts; give read_record "
-                f'units={{"{name.split()[0]}": "{unit}"}}'
+                f'what the guess predicts; give units={{"{channel}": "{unit}"}} to '
+                f"rollkane.read_record (--units {channel}={unit})"
             )
             warnings.warn(message, UserWarning, stacklevel=4)
