@@ -30,6 +30,7 @@ from .files.accelerograms import read_at2 as read_at2
 from .files.accelerograms import read_single_column as read_single_column
 from .files.accelerograms import read_two_column as read_two_column
 from .files.accelerograms import read_v2a as read_v2a
+from .files.records import read_record as read_record
 from .geometry.local_geometry import LocalGeometry as LocalGeometry
 from .geometry.surfaces import Cone as Cone
 from .geometry.surfaces import Cylinder as Cylinder

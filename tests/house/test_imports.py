@@ -31,6 +31,8 @@ METHODS = {
     ("simulation.trajectory", "pictures.plotting"),
     ("simulation.trajectory", "pictures.viewer"),
     ("studies.work_precision", "pictures.plot_precision"),
+    ("identification.fit_result", "pictures.plot_fit"),
+    ("identification.fit_result", "pictures.fit_page"),
 }
 PUBLIC = {"__init__", "moved_modules"}  # of the package itself: they know all folders
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}

@@ -76,6 +76,7 @@ NAMES = {
     "kane",
     "paper_quantities",
     "read_at2",
+    "read_record",
     "read_single_column",
     "read_two_column",
     "read_v2a",

@@ -13,7 +13,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.cli import main
-from rollkane.cli.commands import _start_jax
+from rollkane.cli.preparation import start_jax
 from rollkane.codegen import NoCompilerError
 from rollkane.files.scene_files import load_scene
 from rollkane.simulation import run as simulation
@@ -88,9 +88,9 @@ def test_jax_is_set_up_before_it_starts():
     out = in_a_process(
         "import os, sys\n"
         "os.environ['XLA_FLAGS'] = '--xla_cpu_enable_fast_math=false'\n"
-        "from rollkane.cli.commands import _start_jax\n"
+        "from rollkane.cli.preparation import start_jax\n"
         "assert 'jax' not in sys.modules\n"
-        "_start_jax()\n"
+        "start_jax()\n"
         "import jax\n"
         "print(jax.numpy.ones(1).dtype, os.environ['XLA_FLAGS'])\n"
     )
@@ -99,7 +99,7 @@ def test_jax_is_set_up_before_it_starts():
 
 def test_flags_of_the_user_stay(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", OURS + "2048")
-    _start_jax()
+    start_jax()
     assert os.environ["XLA_FLAGS"] == OURS + "2048"
 
 

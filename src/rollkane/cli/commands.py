@@ -5,48 +5,21 @@ and so that JAX is set up before it starts.
 """
 
 import json
-import math
-import os
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from .. import __version__
+from .fit_command import fit
 from .output_files import check_targets, telling_of_files, write
+from .preparation import STOPPED_EARLY, Positive, loaded, start_jax
 
-_EXTRA_OPTIONS = "xla_backend_extra_options"
-_FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=65536"
-_BAD_INPUT, _STOPPED_EARLY = 2, 3
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0
-
-
-if TYPE_CHECKING:  # click 8.1 has no generic class
-    _NumberType = click.ParamType[float]
-else:
-    _NumberType = click.ParamType
-
-
-class _Positive(_NumberType):
-    """A finite number greater than zero."""
-
-    name = "number"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """The number that an option gives, or click's usage error."""
-        try:
-            number = float(value)
-        except ValueError:
-            self.fail(f"{value!r} is not a number.", param, ctx)
-        if not (math.isfinite(number) and number > 0):
-            self.fail(f"{value} is not a positive number.", param, ctx)
-        return number
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -55,15 +28,18 @@ def main() -> None:
     """Exact dynamics of a rigid body that rolls without slipping."""
 
 
+main.add_command(fit)
+
+
 @main.command()
 @click.argument("scene")
 @click.option("--out", type=click.Path(), help="NetCDF file for the whole motion.")
 @click.option("--plot", type=click.Path(), help="PNG: spin, tilt, energy, force.")
 @click.option("--path", type=click.Path(), help="PNG: the path of the contact point.")
 @click.option("--view", type=click.Path(), help="HTML page that shows the motion.")
-@click.option("--rtol", type=_Positive(), help="Relative tolerance of a step.")
-@click.option("--atol", type=_Positive(), help="Absolute tolerance of a step.")
-@click.option("--duration", type=_Positive(), help="Time that the motion lasts [s].")
+@click.option("--rtol", type=Positive(), help="Relative tolerance of a step.")
+@click.option("--atol", type=Positive(), help="Absolute tolerance of a step.")
+@click.option("--duration", type=Positive(), help="Time that the motion lasts [s].")
 @click.option("--outputs", type=click.IntRange(min=2), help="Number of output times.")
 @click.option(
     "--max-steps",
@@ -102,8 +78,8 @@ def simulate(
     asked = {"out": out, "plot": plot, "path": path, "view": view}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene)
-    _start_jax()
-    file = _loaded(ctx, scene)
+    start_jax()
+    file = loaded(ctx, scene)
 
     import numpy as np
 
@@ -139,15 +115,15 @@ def simulate(
             f"{float(times[-1]):.6g} s: {result.reason}",
             err=True,
         )
-        ctx.exit(_STOPPED_EARLY)
+        ctx.exit(STOPPED_EARLY)
 
 
 @main.command("work-precision")
 @click.argument("scene")
-@click.option("--horizon", type=_Positive(), help="Time that runs last [s].")
+@click.option("--horizon", type=Positive(), help="Time that runs last [s].")
 @click.option("--solver", "solvers", multiple=True, help="Name of a diffrax solver.")
 @click.option(
-    "--rtol", "tolerances", type=_Positive(), multiple=True, help="Relative tolerance."
+    "--rtol", "tolerances", type=Positive(), multiple=True, help="Relative tolerance."
 )
 @click.option(
     "--steps", type=click.IntRange(min=1), multiple=True, help="Number of equal steps."
@@ -170,7 +146,7 @@ def simulate(
 @click.option("--repeats", type=click.IntRange(min=1), default=5, show_default=True)
 @click.option(
     "--error",
-    type=_Positive(),
+    type=Positive(),
     default=1e-6,
     show_default=True,
     help="End error for which a solver is recommended.",
@@ -199,8 +175,8 @@ def work_precision(
     asked = {"json": json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene)
-    _start_jax()
-    file = _loaded(ctx, scene)
+    start_jax()
+    file = loaded(ctx, scene)
 
     from ..files.atomic_file import write_whole
     from ..studies.work_precision import work_precision as measure
@@ -268,8 +244,8 @@ def scenes() -> None:
 @click.pass_context
 def check(ctx: click.Context, scene: str) -> None:
     """Check SCENE, a TOML file: every error at once, with line, value and remedy."""
-    _start_jax()
-    file = _loaded(ctx, scene)
+    start_jax()
+    file = loaded(ctx, scene)
     click.echo(
         f"{scene}: good ({file.title}; {len(file.times)} outputs over "
         f"{file.times[-1]:g} s)"
@@ -282,28 +258,6 @@ def schema() -> None:
     from ..files.scene_files import scene_schema
 
     click.echo(json.dumps(scene_schema(), indent=2))
-
-
-def _start_jax() -> None:
-    """Double precision, and compiled loops; both must come before JAX's first use."""
-    flags = os.environ.get("XLA_FLAGS", "")
-    if _EXTRA_OPTIONS not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {_FAST_LOOPS}".strip()
-    import jax
-
-    jax.config.update("jax_enable_x64", True)
-
-
-def _loaded(ctx: click.Context, scene: str) -> Any:
-    from ..files.scene_files import SceneFileError, load_scene
-
-    try:
-        return load_scene(scene)
-    except SceneFileError as error:
-        count = len(error.problems)
-        click.echo(str(error), err=True)
-        click.echo(f"{count} error{'s' if count > 1 else ''} in {scene}", err=True)
-        ctx.exit(_BAD_INPUT)
 
 
 def _run(

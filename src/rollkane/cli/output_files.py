@@ -15,12 +15,15 @@ _NEEDS = {
     "path": (("matplotlib",), "plot"),
     "view": ((), ""),
     "json": ((), ""),
+    "report": (("matplotlib",), "plot"),
 }
 
 
-def check_targets(targets: dict[str, Path], scene: str) -> None:
+def check_targets(targets: dict[str, Path], scene: str, data: str = "") -> None:
     """Refuse, before anything runs, what could not be written after it."""
     taken = {Path(scene).resolve(): "SCENE"}
+    if data:
+        taken[Path(data).resolve()] = "DATA"
     for name, target in targets.items():
         option = f"--{name}"
         folder = target.resolve().parent

@@ -35,7 +35,10 @@ class Problem:
         records: What was measured.
         deviations: Of channels without sigma, by record and name.
         rollouts: Runs that were made.
+        progress: Hears of every evaluation: rollouts so far, and chi2.
     """
+
+    progress: Callable[[int, float], None] | None = None
 
     def __init__(
         self,
@@ -118,9 +121,10 @@ class Problem:
                 whole[:, entry.where] = slope
                 residuals.append(value)
                 jacobians.append(whole)
-        return Evaluation(
-            np.concatenate(residuals), np.concatenate(jacobians), failed, self.rounding
-        )
+        residual = np.concatenate(residuals)
+        if self.progress is not None:
+            self.progress(self.rollouts, float(residual @ residual))
+        return Evaluation(residual, np.concatenate(jacobians), failed, self.rounding)
 
     @property
     def rounding(self) -> float:

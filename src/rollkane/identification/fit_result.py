@@ -1,6 +1,8 @@
 """The result of a fit: what it found, intervals, a report."""
 
 import dataclasses
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -79,6 +81,35 @@ class Fit(Estimates):
     def report(self) -> str:
         """The fit in words and a table."""
         return text_report(self)
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Samples, predictions and misfits by channel (extra ``plot``).
+
+        Args:
+            path: PNG file to write; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_fit import figure_fit, plot_fit
+
+        if path is None:
+            return figure_fit(self, title=title)
+        return plot_fit(self, path, title=title)
+
+    def write_report(self, path: str | PathLike[str], title: str = "") -> None:
+        """Write the report and the pictures as one self-contained page.
+
+        Needs the extra ``plot``.
+
+        Args:
+            path: HTML file to write; opens from disk, without a network.
+            title: Of the page.
+        """
+        from ..pictures.fit_page import write_fit_page
+
+        write_fit_page(self, path, title=title)
 
     def __str__(self) -> str:
         """The report."""

@@ -1,6 +1,6 @@
 """Fit: parameters of a scene from records of its motion."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from .parameters import Free, Tied
 from .records import Record
 from .residuals import Group, Options, with_delay_bounds
 from .uncertainty import unseen_directions
+from .unit_hints import hint_of_units
 
 STRATEGIES = ("auto", "single", "progressive")
 _NOISE_ROUNDS = 4  # deviations that are estimated settle within
@@ -40,6 +41,7 @@ def fit(
     max_steps: int | None = None,
     max_evaluations: int = 200,
     method: str = "auto",
+    progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Parameters for which the motion agrees best with records of it.
 
@@ -65,6 +67,7 @@ def fit(
         max_steps: Most steps of a run.
         max_evaluations: Points tried by each search.
         method: Of the runs: ``"auto"``, ``"native"`` or ``"diffrax"``.
+        progress: Hears of every point that is tried: runs so far, and chi2 there.
 
     Returns:
         The estimates and what is known about them.
@@ -93,6 +96,8 @@ def fit(
         named = tuple(e.free.path for e in problem.layout.entries)
         remedy = "free what the samples depend on, or record what depends on these"
         raise FieldError("fit.free", named, "is not seen in the records", remedy)
+    hint_of_units(problem, z0)
+    problem.progress = progress
     searches = [_search(problem, guess, known, strategy, most) for guess in guesses]
     best = min(searches, key=lambda s: s.minimum.cost)
     if any(problem.deviations):

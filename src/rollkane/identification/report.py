@@ -1,5 +1,7 @@
 """A fit in words and a table."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from . import uncertainty
@@ -39,33 +41,55 @@ def _how(fit: Estimates) -> list[str]:
     return found
 
 
-def _estimates(fit: Estimates) -> list[str]:
+class Row(NamedTuple):
+    """A named number of the covariance.
+
+    Attributes:
+        name: As of ``Fit.names``.
+        value: Its estimate.
+        error: Standard error; infinite where it is not seen, 0 on a bound.
+        note: ``"not seen"``, ``"on bound"`` or ``""``.
+    """
+
+    name: str
+    value: float
+    error: float
+    note: str
+
+
+def rows(fit: Estimates) -> list[Row]:
+    """Estimates and standard errors of all named numbers, in their order."""
     layout, z = fit.problem.layout, fit.search.minimum.z
-    lines = [f"  {'parameter':<36}{'estimate':>14}{'std. error':>14}{'relative':>10}"]
-    at, row = fit.search.minimum.at, 0
-    errors = np.sqrt(np.diag(fit.covariance))
+    at = fit.search.minimum.at
+    errors = iter(np.sqrt(np.diag(fit.covariance)))
     unseen = uncertainty.unseen_directions(at, layout)
     held = uncertainty.active(at, layout, z)
+    found: list[Row] = []
     for entry in layout.entries:
         values = entry.shown(z)
         slope = uncertainty.shown_slope(entry, z)
         for k, (label, value) in enumerate(
             zip(entry.transform.labels(), values, strict=True)
         ):
-            error = errors[row]
+            error, note = float(next(errors)), ""
             hidden = unseen.size and np.any(
                 np.abs(unseen[:, entry.where] @ slope[k]) > 1e-6 * np.abs(slope).max()
             )
-            told = f"{error:.3g}"
-            share = f"{100 * error / abs(value):.2g} %" if value else ""
             if hidden:
-                told, share = "not seen", ""
+                error, note = np.inf, "not seen"
             elif held[entry.where].all():
-                told, share = "on bound", ""
-            lines.append(
-                f"  {entry.name + label:<36}{value:>14.6g}{told:>14}{share:>10}"
-            )
-            row += 1
+                note = "on bound"
+            found.append(Row(entry.name + label, float(value), error, note))
+    return found
+
+
+def _estimates(fit: Estimates) -> list[str]:
+    lines = [f"  {'parameter':<36}{'estimate':>14}{'std. error':>14}{'relative':>10}"]
+    for name, value, error, note in rows(fit):
+        told = note or f"{error:.3g}"
+        known = value and not note
+        share = f"{100 * error / abs(value):.2g} %" if known else ""
+        lines.append(f"  {name:<36}{value:>14.6g}{told:>14}{share:>10}")
     return lines
 
 

@@ -1,0 +1,201 @@
+"""Tables of samples: columns by name, from CSV, NetCDF or a data frame."""
+
+import csv
+import difflib
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+from jaxtyping import Float
+
+from ..validation.checks import FieldError
+from .accelerogram_lines import Lines
+
+READER = "read_record"
+_MISSING = {"", "nan"}  # cells without a sample, in any case
+_SEPARATORS = "\t;,"  # that which the header has first of these separates cells
+
+
+class Table(NamedTuple):
+    """Columns of samples.
+
+    Attributes:
+        source: Its name, for messages.
+        names: Of the columns, in order.
+        cells: ``cells(name)`` -> a column's cells, of any type.
+        row: ``row(k)`` -> what row k is called, for messages.
+        units: Units of columns, where the table has them.
+    """
+
+    source: str
+    names: tuple[str, ...]
+    cells: Callable[[str], Sequence[Any]]
+    row: Callable[[int], str]
+    units: dict[str, str]
+
+    def refuse(self, field: str, value: Any, problem: str, remedy: str) -> NoReturn:
+        """Raise, naming the source."""
+        name = f"{READER}.{field}"
+        raise FieldError(name, value, f"{self.source}: {problem}", remedy)
+
+    def column(self, field: str, name: str) -> Float[np.ndarray, " T"]:
+        """A column of numbers, NaN where a cell is missing.
+
+        Args:
+            field: Argument that asks for it.
+            name: Of the column.
+
+        Raises:
+            FieldError: no such column, or two of the name; cells that are not numbers.
+        """
+        if self.names.count(name) != 1:
+            known = ", ".join(self.names)
+            if name in self.names:
+                remedy = f"rename one of them; the columns are: {known}"
+                self.refuse(field, name, f"has two columns {name!r}", remedy)
+            near = difflib.get_close_matches(name, self.names, n=1, cutoff=0.5)
+            meant = f"did you mean {near[0]!r}? " if near else ""
+            remedy = f"{meant}the columns are: {known}"
+            self.refuse(field, name, f"has no column {name!r}", remedy)
+        cells = self.cells(name)
+        try:
+            numbers = np.asarray(cells, float)
+        except (TypeError, ValueError):
+            numbers = np.array(
+                [self._number(k, name, cell) for k, cell in enumerate(cells)], float
+            )
+        if np.isinf(numbers).any():
+            self._refuse_cell(int(np.argmax(np.isinf(numbers))), name, "inf")
+        return numbers
+
+    def _number(self, row: int, name: str, cell: Any) -> float:
+        if cell is None or str(cell).strip().lower() in _MISSING:
+            return np.nan
+        try:
+            return float(cell)
+        except (TypeError, ValueError):
+            self._refuse_cell(row, name, cell)
+
+    def _refuse_cell(self, row: int, name: str, cell: Any) -> NoReturn:
+        problem = f"{self.row(row)}, column {name!r}: is not a number"
+        remedy = "write decimal points; leave cells of missing samples empty"
+        self.refuse("path", cell, problem, remedy)
+
+
+def table_of(source: Any) -> Table:
+    """The table of a file, by its name, or of a data frame.
+
+    Args:
+        source: Path of a CSV file (comma, semicolon or tab; a header row; comments
+            behind #) or of a NetCDF file (``.nc``); or anything with ``columns``.
+
+    Raises:
+        FieldError: it cannot be read, or has no rows.
+        ImportError: a NetCDF file, without xarray.
+    """
+    if hasattr(source, "columns"):
+        return _of_frame(source)
+    if str(source).endswith(".nc"):
+        return _of_netcdf(source)
+    return _of_csv(source)
+
+
+def _of_csv(path: str | os.PathLike[str]) -> Table:
+    file = Lines(READER, path)
+    whole = file.lines
+    numbers = [
+        k
+        for k, line in enumerate(whole)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if len(numbers) < 2:
+        remedy = "give names in the first row, and samples below"
+        file.refuse(None, "has no rows of samples", remedy)
+    header = whole[numbers[0]]
+    separator = next((mark for mark in _SEPARATORS if mark in header), ",")
+    rows = list(csv.reader((whole[k] for k in numbers), delimiter=separator))
+    if len(rows) != len(numbers):
+        file.refuse(None, "has a quote that goes on in the next line", "mend it")
+    names = tuple(name.strip() for name in rows[0])
+    if all(_is_number(name) for name in names):
+        remedy = "write the columns' names into its first row"
+        file.refuse(numbers[0], "has numbers where the header should be", remedy)
+    for k, row in zip(numbers, rows, strict=True):
+        if len(row) != len(names):
+            problem = f"has {len(row)} cells below {len(names)} names"
+            file.refuse(k, problem, "mend the row")
+
+    def cells(name: str) -> list[str]:
+        k = names.index(name)
+        return [row[k] for row in rows[1:]]
+
+    return Table(
+        source=str(path),
+        names=names,
+        cells=cells,
+        row=lambda k: f"line {numbers[k + 1] + 1}",
+        units={},
+    )
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _of_netcdf(path: str | os.PathLike[str]) -> Table:
+    """Variables of one dimension; of two, ``name_label`` for each of the second's."""
+    try:
+        import xarray
+    except ImportError as error:
+        raise ImportError(
+            "NetCDF files need xarray: pip install 'rollkane[results]'"
+        ) from error
+    columns: dict[str, Any] = {}
+    units: dict[str, str] = {}
+    try:
+        # times and spans of time stay numbers
+        with xarray.open_dataset(Path(path), decode_times=False) as data:
+            for name, variable in data.variables.items():
+                for label, values in _parts(data, variable):
+                    columns[f"{name}{label}"] = values
+                    if "units" in variable.attrs:
+                        units[f"{name}{label}"] = str(variable.attrs["units"])
+    except (OSError, ValueError) as error:
+        field, remedy = f"{READER}.path", "give the path of a NetCDF file"
+        raise FieldError(
+            field, str(path), f"cannot be read: {error}", remedy
+        ) from error
+    return _of_columns(str(path), columns, units)
+
+
+def _parts(data: Any, variable: Any) -> list[tuple[str, np.ndarray]]:
+    values = np.asarray(variable.values)
+    if values.ndim == 1:
+        return [("", values)]
+    if values.ndim != 2:
+        return []
+    second = variable.dims[1]
+    labels = data[second].values if second in data.coords else range(values.shape[1])
+    return [(f"_{label}", values[:, k]) for k, label in enumerate(labels)]
+
+
+def _of_frame(frame: Any) -> Table:
+    names = [str(name) for name in frame.columns]
+    given = zip(names, frame.columns, strict=True)
+    columns = {name: np.asarray(frame[key]) for name, key in given}
+    return _of_columns("the data frame", columns, {})
+
+
+def _of_columns(source: str, columns: dict[str, Any], units: dict[str, str]) -> Table:
+    if not any(len(cells) for cells in columns.values()):
+        problem, remedy = f"{source}: has no rows of samples", "give one with samples"
+        raise FieldError(f"{READER}.path", source, problem, remedy)
+    return Table(
+        source, tuple(columns), columns.__getitem__, lambda k: f"row {k}", units
+    )
