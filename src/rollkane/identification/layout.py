@@ -274,7 +274,7 @@ def _transform(
         return Scaled(value)
     if kind[1] == "inertia" and value.shape == (3, 3):
         return inertia_transform(field, value, free.form)
-    if free.form == "diagonal":
+    if free.form not in (None, "full"):
         raise FieldError(f"{field}.form", free.form, "is of inertias", "leave it out")
     if kind[1] == "orientation" and value.shape == (4,):
         return Rotated(value)

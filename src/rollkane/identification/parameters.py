@@ -41,7 +41,9 @@ class Free:
             for none.
         prior: Mean and standard deviation of what was known before, numbers or arrays.
         form: ``"full"``; ``"diagonal"``: an inertia whose principal axes are the
-            body's; ``"scale"``: one factor, ratios stay; None: full.
+            body's; ``"ratios"``, ``"diagonal ratios"``: an inertia whose trace stays,
+            since motion without known forces does not show it; ``"scale"``: one factor,
+            ratios stay; None: full.
         shared: Whether several records have one value of it; None: of all but the
             start.
     """

@@ -4,7 +4,7 @@ A parameter is ``value(z)`` for unconstrained numbers ``z``: positive ones by th
 logarithm, inertias by the second moments of a density, quaternions by small rotations.
 """
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,8 @@ from ..validation.checks import FieldError
 FLAT = 1e-8
 # Of an inertia's named entries: moments first
 _ROWS, _COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-FORMS = ("full", "diagonal", "scale")
+RATIOS = {"ratios": "full", "diagonal ratios": "diagonal"}
+FORMS = ("full", "diagonal", "scale", *RATIOS)
 
 
 class AbstractTransform(eqx.Module):
@@ -136,6 +137,8 @@ class AbstractInertia(AbstractTransform):
     principal moment exceeds the sum of the others.
     """
 
+    logarithms: ClassVar[int] = 3  # among the coordinates, first
+
     def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
         """S [kg m^2], of density times products of coordinates."""
         raise NotImplementedError
@@ -188,6 +191,8 @@ class FlatInertia(AbstractInertia):
 
     plane: Array
 
+    logarithms: ClassVar[int] = 2
+
     def second_moments(self, z: Float[Array, " 3"]) -> Float[Array, "3 3"]:
         """S [kg m^2]."""
         return self.plane @ _product(z, 2) @ self.plane.T
@@ -217,6 +222,38 @@ class DiagonalInertia(AbstractInertia):
     def labels(self) -> tuple[str, ...]:
         """Axes of the moments."""
         return (".xx", ".yy", ".zz")
+
+
+class InertiaRatios(AbstractInertia):
+    """An inertia whose trace stays: what motion without known forces can show.
+
+    Attributes:
+        reference: Inertia [kg m^2].
+        free: Its coordinates, of which one direction multiplies it.
+        begin: Those of the value that was given, shape (k,).
+        across: Directions across that one, shape (k, k - 1).
+    """
+
+    free: AbstractInertia
+    begin: Array
+    across: Array
+
+    def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
+        """S [kg m^2]."""
+        S = self.free.second_moments(self.begin + self.across @ z)
+        return S * (0.5 * jnp.trace(self.reference) / jnp.trace(S))
+
+    def start(self) -> np.ndarray:
+        """Zero."""
+        return np.zeros(self.across.shape[1])
+
+    def shown(self, value: Array) -> Array:
+        """As without the condition."""
+        return self.free.shown(value)
+
+    def labels(self) -> tuple[str, ...]:
+        """As without the condition."""
+        return self.free.labels()
 
 
 class Rotated(AbstractTransform):
@@ -275,11 +312,20 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
     Args:
         field: Name used in the error.
         inertia: [kg m^2], shape (3, 3).
-        form: ``"diagonal"``, or ``"full"`` (also None).
+        form: ``"diagonal"``, or ``"full"`` (also None), or ratios of these.
 
     Raises:
         FieldError: a diagonal form of an inertia that is not diagonal.
     """
+    if form in RATIOS:
+        free = inertia_transform(field, inertia, RATIOS[form])
+        begin = free.start()
+        # the logarithms grow alike where the inertia is multiplied
+        along = np.zeros((1, begin.size))
+        along[:, : free.logarithms] = 1.0
+        _, _, rows = np.linalg.svd(along)
+        parts = (jnp.asarray(x, inertia.dtype) for x in (begin, rows[1:].T))
+        return InertiaRatios(inertia, free, *parts)
     known = np.asarray(inertia, float)
     if form == "diagonal":
         off = known - np.diag(np.diag(known))
