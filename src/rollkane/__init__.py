@@ -6,7 +6,7 @@ The public names stand in ``__init__.pyi``. They are imported when first used, s
 
 import typing as _typing
 
-import lazy_loader
+import lazy_loader  # pyright: ignore[reportMissingTypeStubs]
 
 from . import moved_modules as _moved_modules
 

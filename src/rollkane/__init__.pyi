@@ -47,6 +47,8 @@ from .geometry.surfaces import Torus as Torus
 from .hybrid.modes import Mode as Mode
 from .hybrid.modes import Modes as Modes
 from .hybrid.modes import Switches as Switches
+from .identification.body_sensors import Accelerometer as Accelerometer
+from .identification.body_sensors import Gyro as Gyro
 from .identification.experiment_design import ExperimentDesign as ExperimentDesign
 from .identification.experiment_design import design_experiment as design_experiment
 from .identification.fit_result import Fit as Fit
@@ -62,9 +64,7 @@ from .identification.posterior import posterior as posterior
 from .identification.records import Record as Record
 from .identification.sensitivity import Sensitivity as Sensitivity
 from .identification.sensitivity import sensitivity as sensitivity
-from .identification.sensors import Accelerometer as Accelerometer
 from .identification.sensors import ContactPath as ContactPath
-from .identification.sensors import Gyro as Gyro
 from .identification.sensors import Marker as Marker
 from .identification.sensors import NormalForce as NormalForce
 from .identification.sensors import Observed as Observed

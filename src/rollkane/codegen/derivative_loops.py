@@ -33,7 +33,8 @@ class Way(NamedTuple):
     """
 
     record: Float[Array, " n"]
-    count: Float[Array, ""]
+    # a tuple has a method of this name, which is not wanted of these
+    count: Float[Array, ""]  # pyright: ignore[reportIncompatibleMethodOverride]
     sense: Float[Array, ""]
     outputs: Float[Array, " T"]
     jumps: Float[Array, " k"]

@@ -72,7 +72,9 @@ class Toss(NamedTuple):
         channels = {
             "gyro": Gyro(self.angular_velocity[kept], known.get("gyro")),
             "position": Position(self.position[kept], known.get("position")),
-            "orientation": Orientation(self.orientation[kept], known.get("orientation")),
+            "orientation": Orientation(
+                self.orientation[kept], known.get("orientation")
+            ),
         }
         return Record(self.time[kept], channels)
 
@@ -94,9 +96,7 @@ def read_toss(path: str | os.PathLike[str]) -> Toss:
         raise FieldError("read_toss.path", str(path), problem, "give a toss's file")
     parts = np.split(rows, [3, 7, 10, 13], axis=1)
     time = np.arange(rows.shape[0]) / RATE
-    return Toss(
-        time, HALF_WIDTH * parts[0], parts[1], HALF_WIDTH * parts[2], parts[3]
-    )
+    return Toss(time, HALF_WIDTH * parts[0], parts[1], HALF_WIDTH * parts[2], parts[3])
 
 
 class _Storage(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from ..identification import sensors
+from ..identification import body_sensors, sensors
 from ..identification.channels import AbstractChannel
 from ..identification.records import Record
 from ..validation.checks import FieldError
@@ -46,8 +46,8 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "gyro": Kind(sensors.Gyro, 3, _RATES),
-    "accelerometer": Kind(sensors.Accelerometer, 3, _ACCELERATIONS, placed=True),
+    "gyro": Kind(body_sensors.Gyro, 3, _RATES),
+    "accelerometer": Kind(body_sensors.Accelerometer, 3, _ACCELERATIONS, placed=True),
     "position": Kind(sensors.Position, 3, _LENGTHS, placed=True),
     "orientation": Kind(sensors.Orientation, 4, {"1": 1.0}),
     "marker": Kind(sensors.Marker, 3, _LENGTHS, placed=True),
@@ -182,7 +182,7 @@ def _place(name: str, kind: Kind, at: Mapping[str, ArrayLike]) -> dict[str, Arra
     if name in at and not kind.placed:
         remedy = "leave it out"
         raise FieldError(f"{READER}.at", name, "reads the same at any place", remedy)
-    if name not in at and kind.make is sensors.Accelerometer:
+    if name not in at and kind.make is body_sensors.Accelerometer:
         remedy = f"give at={{{name!r}: (x, y, z)}}, from the body origin [m]"
         raise FieldError(f"{READER}.at", dict(at), f"does not place {name!r}", remedy)
     return {"at": at[name]} if name in at else {}

@@ -4,6 +4,8 @@ A sensor reads ``gain M(misalignment) x(t - delay) + bias`` of what it measures,
 noise is white, with standard deviation ``sigma``; sigma left out is estimated by a fit.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -109,6 +111,7 @@ class AbstractSensor(AbstractChannel):
 
     def _calibrate(self, bias: ArrayLike, gain: ArrayLike) -> None:
         name, size = type(self).__name__, self.values.shape[1]
+        each: Callable[[ArrayLike], np.ndarray]
         each = lambda x: np.broadcast_to(np.asarray(x, float), (size,))
         try:
             self.bias, self.gain = jnp.asarray(each(bias)), jnp.asarray(each(gain))
@@ -116,7 +119,20 @@ class AbstractSensor(AbstractChannel):
             problem = f"and bias must be a number or {size} numbers"
             remedy = "give one for each column"
             raise FieldError(f"{name}.gain", (gain, bias), problem, remedy) from error
+        for field, known in (("bias", self.bias), ("gain", self.gain)):
+            if not np.isfinite(np.asarray(known)).all():
+                remedy = "give its value, or leave it out"
+                raise FieldError(f"{name}.{field}", known, "must be finite", remedy)
 
     def misfit(self, predicted: Float[Array, "T k"]) -> Float[Array, "T k"]:
         """Measured minus predicted, with gain and bias."""
         return self.values - (self.gain[None] * predicted + self.bias[None])
+
+
+def body_point(field: str, at: ArrayLike) -> Float[Array, "3"]:
+    """Where a sensor sits on the body, body axes [m].
+
+    Raises:
+        FieldError: not three finite numbers.
+    """
+    return real(field, at, (3,), "three lengths in metres, body axes")

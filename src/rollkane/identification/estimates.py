@@ -1,8 +1,10 @@
 """What a fit found: estimates, errors and residuals."""
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
+import jax.numpy as jnp
 import numpy as np
 
 from ..dynamics.scene import Scene
@@ -82,6 +84,7 @@ class Estimates:
         residuals = problem.channel_misfits(z)
         models = [layout.model(k, z) for k in range(len(problem.records))]
         several = len(models) > 1
+        every: Callable[[Sequence[Any]], Any]
         every = lambda parts: list(parts) if several else parts[0]
         return cls(
             estimates=layout.by_path(lambda e: e.value(z)),
@@ -149,10 +152,10 @@ def expected_errors(
     layout = problem.layout
     known = uncertainty.coordinate_covariance(at, layout, z)
     unseen = uncertainty.unseen_directions(at, layout)
-    return layout.by_path(lambda e: _standard_errors(e, z, known, unseen))
+    return layout.by_path(lambda e: standard_errors_of(e, z, known, unseen))
 
 
-def _standard_errors(
+def standard_errors_of(
     entry: Coordinates, z: np.ndarray, known: np.ndarray, unseen: np.ndarray
 ) -> np.ndarray:
     """Of a parameter's entries; infinite where an unseen direction changes them."""
@@ -169,7 +172,7 @@ def _standard_errors(
 def _priors(layout: Layout) -> int:
     """Numbers that priors are of."""
     return sum(
-        uncertainty.slope(e, layout.start).shape[0]
+        len(e.transform.deviations(jnp.ones(e.value(layout.start).shape)))
         for e in layout.entries
         if e.free.prior is not None
     )

@@ -1,6 +1,7 @@
 """All records of a fit as one least-squares problem in the fit's coordinates."""
 
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import equinox as eqx
 import jax
@@ -21,6 +22,9 @@ from .transforms import AbstractTransform
 
 # Of a channel without sigma, before a fit has seen its misfits: this share of its size.
 _GUESSED_NOISE = 0.01
+# Of a derivative, relative to the size of what is differentiated: sums of 1e4 steps
+# with roundings of 1e-16, which grow tenfold.
+_ROUNDING = 1e-11
 
 
 class Problem:
@@ -117,10 +121,21 @@ class Problem:
                 whole[:, entry.where] = slope
                 residuals.append(value)
                 jacobians.append(whole)
-        residual = np.concatenate(residuals)
+        residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
         if self.progress is not None:
             self.progress(self.rollouts, float(residual @ residual))
-        return Evaluation(residual, np.concatenate(jacobians), failed)
+        return Evaluation(residual, jacobian, failed, self.rounding)
+
+    @property
+    def rounding(self) -> float:
+        """Of derivatives by relative changes: that of the samples' whole size."""
+        read = [
+            np.asarray(c.values) / np.mean(np.asarray(c.sigma))
+            for groups in self.groups
+            for group in groups
+            for c in group.channels.values()
+        ]
+        return _ROUNDING * float(np.sqrt(sum(np.nansum(r**2) for r in read)))
 
     def _linearized(
         self, record: int, z: np.ndarray, horizon: float
@@ -206,7 +221,8 @@ class Problem:
             for group in groups:
                 for name, channel in group.channels.items():
                     values = np.asarray(channel.values)
-                    apart = values - np.nanmean(values, axis=0)
+                    counts = np.maximum(np.isfinite(values).sum(axis=0), 1)
+                    apart = values - np.nansum(values, axis=0) / counts
                     own[name] = apart / np.mean(np.asarray(channel.sigma))
             found.append(own)
         return found
@@ -252,18 +268,20 @@ def _size(values: Array) -> float:
 def _prior_of(
     transform: AbstractTransform, mean: Array, deviation: Array, z: Array
 ) -> tuple[Array, Array]:
-    away = lambda z: jnp.ravel((transform.value(z) - mean) / deviation)
-    return away(z), jax.jacfwd(away)(z)
+    away: Callable[[Array], Array]
+    numbers = transform.independent
+    away = lambda z: (numbers(transform.value(z)) - numbers(mean)) / deviation
+    return away(z), cast(Array, jax.jacfwd(away)(z))
 
 
 def _prior_terms(entry: Coordinates) -> tuple[AbstractTransform, Array, Array]:
-    """Coordinates of a parameter, and its prior's mean and deviation in its shape."""
+    """Coordinates of a parameter, its prior's mean, and deviations of its numbers."""
     assert entry.free.prior is not None
     shape = np.shape(entry.transform.value(jnp.asarray(entry.transform.start())))
     mean, deviation = (
         jnp.broadcast_to(jnp.asarray(x, float), shape) for x in entry.free.prior
     )
-    return entry.transform, mean, deviation
+    return entry.transform, mean, entry.transform.deviations(deviation)
 
 
 def _prior(entry: Coordinates, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -70,6 +70,10 @@ class Fit(Estimates):
         if method == "linear":
             return linear_interval(self, path, level)
         if method == "profile":
+            if self.loss != "linear":
+                remedy = 'use "linear", or fit with loss="linear"'
+                problem = f"is of chi2, not of the loss {self.loss!r}"
+                raise FieldError("Fit.interval.method", method, problem, remedy)
             return profile_interval(self, path, level)
         remedy = 'use "linear" or "profile"'
         raise FieldError("Fit.interval.method", method, "is not known", remedy)

@@ -8,14 +8,16 @@ import numpy as np
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
-from ..validation.checks import FieldError, whole
+from ..simulation.run_checks import check_span
+from ..validation.checks import FieldError, not_negative, whole
 from .experiments import Problem
 from .fit_result import Fit
 from .horizons import Search, followed, progressive, single
-from .least_squares import Loss, loss_of
+from .least_squares import Evaluation, Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
-from .residuals import Options, with_delay_bounds
+from .residuals import Group, Options, with_delay_bounds
+from .uncertainty import unseen_directions
 from .unit_hints import hint_of_units
 
 STRATEGIES = ("auto", "single", "progressive")
@@ -84,28 +86,31 @@ def fit(
         remedy = f"use one of {STRATEGIES}"
         raise FieldError("fit.strategy", strategy, "is not known", remedy)
     count = whole("fit.starts", starts, 1, "give how many guesses")
-    guesses = _guesses(problem, count, spread, seed)
+    most = whole("fit.max_evaluations", max_evaluations, 1, "give how many points")
+    known_spread = not_negative("fit.spread", spread, "relative to the guess")
+    guesses = _guesses(problem, count, float(known_spread), seed)
     z0 = guesses[0]
-    if not problem.evaluate(z0).usable:
-        problem_text = "gives no numbers: a run or its derivatives are not finite"
-        raise FieldError("fit.start", "...", problem_text, "begin nearer to the record")
+    at = problem.evaluate(z0)
+    check_usable(at)
+    if not at.failed and len(unseen_directions(at, problem.layout)) == z0.size:
+        named = tuple(e.free.path for e in problem.layout.entries)
+        remedy = "free what the samples depend on, or record what depends on these"
+        raise FieldError("fit.free", named, "is not seen in the records", remedy)
     hint_of_units(problem, z0)
     problem.progress = progress
-    searches = [
-        _search(problem, guess, known, strategy, max_evaluations) for guess in guesses
-    ]
+    searches = [_search(problem, guess, known, strategy, most) for guess in guesses]
     best = min(searches, key=lambda s: s.minimum.cost)
     if any(problem.deviations):
         for _ in range(_NOISE_ROUNDS):
             if not problem.with_noise_of(best.minimum.z):
                 break
-            again = single(problem, best.minimum.z, known, max_evaluations)
-            best = Search(again.minimum, best.stages + again.stages[-1:])
+            again = single(problem, best.minimum.z, known, most)
+            best = _continued(best, again)
     return Fit.of(problem, best, searches, loss)
 
 
 def problem_of(
-    scene: Scene,
+    scene: object,
     starts: list[Any],
     records: list[Any],
     free: tuple[Any, ...],
@@ -123,6 +128,9 @@ def problem_of(
         if not isinstance(one, Record):
             remedy = "make it with rollkane.Record or rollkane.read_record"
             raise FieldError("fit.record", one, "must be a Record", remedy)
+    if not records:
+        remedy = "give a rollkane.Record, or several"
+        raise FieldError("fit.record", records, "is missing", remedy)
     if len(starts) != len(records):
         given = f"{len(starts)} starts, {len(records)} records"
         remedy = "give one start for each record"
@@ -131,8 +139,42 @@ def problem_of(
         if not isinstance(one, State):
             remedy = "make it with rollkane.place"
             raise FieldError("fit.start", one, "must be a State", remedy)
+    _check_free(free)
     bounded = with_delay_bounds(free, records)
-    return Problem(scene, starts, records, bounded, modes, options)
+    problem = Problem(scene, starts, records, bounded, modes, options)
+    for record, groups in zip(records, problem.groups, strict=True):
+        latest = [_latest(group, bounded) for group in groups]
+        check_span(scene, np.array([record.start_time, *latest]))
+    return problem
+
+
+def _check_free(free: tuple[object, ...]) -> None:
+    for one in free:
+        if not isinstance(one, (Free, Tied)):
+            remedy = 'give rollkane.Free("body.inertia"), or several of them'
+            raise FieldError("fit.free", one, "must be a parameter", remedy)
+
+
+def check_usable(at: Evaluation) -> None:
+    """Refuse a first guess whose misfits are no numbers."""
+    if not at.usable:
+        problem = "gives no numbers: a run or its derivatives are not finite"
+        raise FieldError("fit.start", "...", problem, "begin nearer to the record")
+
+
+def _latest(group: Group, free: tuple[Free | Tied, ...]) -> float:
+    """The latest time of a group's run [s], with the least delay that it may have."""
+    last = float(group.time[-1])
+    if not group.delayed:
+        return last
+    (name,) = group.channels
+    delay = float(group.channels[name].delay)
+    bounds = [
+        float(np.min(np.asarray(f.bounds[0])))
+        for f in free
+        if isinstance(f, Free) and f.path == f"{name}.delay" and f.bounds
+    ]
+    return last - min([delay, *bounds])
 
 
 def _search(
@@ -144,12 +186,23 @@ def _search(
     return (progressive if far else single)(problem, z, loss, most)
 
 
+def _continued(first: Search, again: Search) -> Search:
+    """A search and the one from where it ended, as one."""
+    before, last = first.minimum, again.minimum
+    whole = last._replace(
+        evaluations=before.evaluations + last.evaluations,
+        failed=before.failed + last.failed,
+        path=np.concatenate([before.path, last.path[1:]]),
+    )
+    return Search(whole, first.stages + again.stages[-1:])
+
+
 def _guesses(
     problem: Problem, count: int, spread: float, seed: int
 ) -> list[np.ndarray]:
     layout = problem.layout
     random = np.random.default_rng(seed)
-    found = [layout.start]
+    found: list[np.ndarray] = [layout.start]
     for _ in range(count - 1):
         away = spread * layout.scale * random.standard_normal(layout.size)
         found.append(np.clip(layout.start + away, layout.lower, layout.upper))

@@ -2,15 +2,15 @@
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
+from ..kinematics.coordinates import State
 from . import uncertainty
 from .estimates import expected_errors
-from .fitting import problem_of
+from .fitting import check_usable, problem_of
 from .parameters import Free, Tied
 from .records import Record
 from .residuals import Options
@@ -64,7 +64,7 @@ def _listed(sentences: tuple[str, ...]) -> list[str]:
 
 def identifiability(
     scene: Scene,
-    start: Any,
+    start: State | Sequence[State],
     record: Record | Sequence[Record],
     free: Free | Tied | Sequence[Free | Tied],
     *,
@@ -100,7 +100,8 @@ def identifiability(
     layout = problem.layout
     z = layout.start
     at = problem.evaluate(z)
-    parts = uncertainty.spectrum(at.jacobian, layout.scale)
+    check_usable(at)
+    parts = uncertainty.spectrum(at.jacobian, layout.scale, at.rounding)
     unseen = uncertainty.unseen_directions(at, layout)
     weak = parts.seen & (parts.values < 1.0 / _POORLY)
     return Identifiability(
@@ -108,6 +109,9 @@ def identifiability(
         singular_values=parts.values,
         condition=parts.condition,
         unseen=described(unseen, layout, z),
-        poorly_seen=described(parts.directions[weak] * parts.scale, layout, z),
+        poorly_seen=tuple(
+            sentence.replace("not seen", "poorly seen")
+            for sentence in described(parts.directions[weak] * parts.scale, layout, z)
+        ),
         standard_errors=expected_errors(problem, at, z),
     )

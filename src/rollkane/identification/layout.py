@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -12,7 +11,6 @@ from ..validation.checks import FieldError
 from . import paths
 from .parameters import Free, Model, Slot, Slots, Tied, located, number_in
 from .transforms import (
-    FORMS,
     AbstractTransform,
     Plain,
     Positive,
@@ -27,6 +25,9 @@ _POSITIVE = {
     ("", "radius"),
     ("", "major_radius"),
     ("", "minor_radius"),
+    ("", "regularization"),
+    ("Implicit", "size"),
+    ("Modes", "rest_speed"),
     ("Ellipsoid", "semi_axes"),
     ("StribeckFriction", "speed"),
 }
@@ -108,29 +109,27 @@ class Layout:
         if not wanted or len(wanted) + len(self.tied) != len(free):
             remedy = 'give rollkane.Free("body.inertia"), or several of them'
             raise FieldError("free", free, "must hold parameters", remedy)
-        named = [f.path for f in free]
-        for path in named:
-            if named.count(path) > 1:
-                remedy = "name it once"
-                raise FieldError("Free.path", path, "is there twice", remedy)
         self.models = list(models)
+        _check_apart(self.models, free)
         self.entries: list[Coordinates] = []
         for one in wanted:
-            of_start = one.path.split(".")[0] == "start"
+            of_start = paths.keys_of(one.path)[0] == "start"
             own = of_start if one.shared is None else not one.shared
             several = own and len(models) > 1
-            for record in range(len(models)) if several else (None,):
+            for record in _owners(self.models, one.path) if several else (None,):
                 self._add(one, record)
-        for tie in self.tied:
-            _array_at(self.models[0], tie.path)
+        join: Callable[[list[Any]], np.ndarray]
         join = lambda parts: np.concatenate([np.atleast_1d(p) for p in parts])
         self.start = join([e.transform.start() for e in self.entries])
         self.lower = join([e.lower for e in self.entries])
         self.upper = join([e.upper for e in self.entries])
         self.scale = join([e.transform.scale() for e in self.entries])
+        for tie in self.tied:
+            self._check_tie(tie)
 
     def _add(self, free: Free, record: int | None) -> None:
-        model = self.models[record or 0]
+        first_owner = _owners(self.models, free.path)[0]
+        model = self.models[first_owner if record is None else record]
         keys, value = _array_at(model, free.path)
         transform = _transform(free, model, keys, value)
         first = self.entries[-1].where.stop if self.entries else 0
@@ -140,6 +139,25 @@ class Layout:
         _check_prior(free, value)
         entry = Coordinates(free, record, transform, where, lower, upper)
         self.entries.append(entry)
+
+    def _check_tie(self, tie: Tied) -> None:
+        """Refuse what does not follow from the free parameters."""
+        field = f"Tied({tie.path!r}).value"
+        for record in _owners(self.models, tie.path):
+            keys, old = _array_at(self.models[record], tie.path)
+            if keys[0] == "channels" and keys[-1] == "delay":
+                remedy = "free it, with bounds"
+                raise FieldError(field, tie.path, "cannot follow: a delay", remedy)
+            slots, where = self.of_record(record)
+            values = slots.values(jnp.asarray(self.start[where]))
+            try:
+                np.broadcast_to(np.asarray(tie.value(values), float), old.shape)
+            except KeyError as error:
+                remedy = f"use those of {tuple(values)}"
+                raise FieldError(field, error.args[0], "is not free", remedy) from error
+            except (TypeError, ValueError) as error:
+                problem = f"must give numbers of shape {old.shape}"
+                raise FieldError(field, "...", problem, str(error)) from error
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -156,14 +174,19 @@ class Layout:
         slots: list[Slot] = []
         where: list[int] = []
         for entry in self.entries:
-            if entry.record in (None, record):
+            owns = record in _owners(self.models, entry.free.path)
+            if owns and entry.record in (None, record):
                 keys = located(entry.free.path, self.models[record].channels)
                 size = entry.where.stop - entry.where.start
                 place = entry.free.path, keys, entry.transform, len(where), size
                 slots.append(Slot(*place))
                 where += range(entry.where.start, entry.where.stop)
         channels = self.models[record].channels
-        tied = [(t.path, located(t.path, channels), t.value) for t in self.tied]
+        tied = [
+            (t.path, located(t.path, channels), t.value)
+            for t in self.tied
+            if record in _owners(self.models, t.path)
+        ]
         return Slots(tuple(slots), tuple(tied)), np.array(where)
 
     def model(self, record: int, z: np.ndarray) -> Model:
@@ -180,6 +203,27 @@ class Layout:
         return {p: np.stack(v) if p in own else v[0] for p, v in found.items()}
 
 
+def _owners(models: Sequence[Model], path: str) -> list[int]:
+    """Records that have a parameter: a channel's only those with the channel."""
+    root = paths.keys_of(path)[0]
+    with_channel = [k for k, m in enumerate(models) if root in m.channels]
+    return with_channel or list(range(len(models)))
+
+
+def _check_apart(models: Sequence[Model], free: Sequence[Free | Tied]) -> None:
+    """Refuse parameters of which one is another, or a part of it."""
+    channels = {name: None for model in models for name in model.channels}
+    known: list[tuple[str, paths.Keys]] = []
+    for one in free:
+        keys = located(one.path, channels)
+        for other, others in known:
+            shorter = min(len(keys), len(others))
+            if keys[:shorter] == others[:shorter]:
+                problem = "is there twice" if keys == others else f"overlaps {other!r}"
+                raise FieldError("Free.path", one.path, problem, "name it once")
+        known.append((one.path, keys))
+
+
 def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
     """Keys and number of a path."""
     keys = located(path, model.channels)
@@ -187,9 +231,8 @@ def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
         value = number_in(model, keys)
     except LookupError:
         value = None
-    if not isinstance(value, (jax.Array, np.ndarray)) or not np.issubdtype(
-        value.dtype, np.floating
-    ):
+    read = keys[0] == "channels" and keys[2:3] in (("values",), ("sigma",))
+    if read or not paths.is_floating(value):
         raise paths.unknown(path, known_paths(model))
     return keys, value
 
@@ -207,7 +250,8 @@ def known_paths(model: Model) -> list[str]:
 
 def _kind(model: Model, keys: paths.Keys) -> tuple[str, str]:
     """Class that holds a number, and the number's name there."""
-    keys = keys[:-1] if isinstance(keys[-1], int) else keys
+    while isinstance(keys[-1], int):
+        keys = keys[:-1]
     return type(number_in(model, keys[:-1])).__name__, str(keys[-1])
 
 
@@ -219,11 +263,11 @@ def _transform(
     free: Free, model: Model, keys: paths.Keys, value: Array
 ) -> AbstractTransform:
     field = f"Free({free.path!r})"
-    if free.form is not None and free.form not in FORMS:
-        raise FieldError(
-            f"{field}.form", free.form, "is not known", f"use one of {FORMS}"
-        )
     value, kind = jnp.asarray(value), _kind(model, keys)
+    if kind[1] in ("inertia", "orientation") and isinstance(keys[-1], int):
+        whole = free.path.rstrip("[]0123456789.")
+        remedy = f"free {whole!r}, which stays physical as a whole"
+        raise FieldError(field, free.path, "is only a part", remedy)
     if free.form == "scale":
         if not np.any(np.asarray(value)):
             raise FieldError(field, value, "is zero and has no scale", "leave form out")
@@ -257,11 +301,8 @@ def _bounds(
         if not isinstance(transform, (Plain, Positive)):
             remedy = "leave them out: its coordinates keep it physical; or give a prior"
             raise FieldError(field, free.bounds, "are for plain numbers", remedy)
-        given = [
-            other if x is None else x
-            for x, other in zip(free.bounds, (low, high), strict=True)
-        ]
-        low, high = given
+        least, most = free.bounds
+        low, high = low if least is None else least, high if most is None else most
     shape = np.shape(transform.value(jnp.asarray(start)))
     try:
         lower, upper = (
@@ -293,9 +334,11 @@ def _check_prior(free: Free, value: Array) -> None:
     field, remedy = f"Free({free.path!r}).prior", "give (mean, standard deviation)"
     try:
         mean, deviation = free.prior
-        np.broadcast_to(np.asarray(mean, float), np.shape(value))
+        middle = np.broadcast_to(np.asarray(mean, float), np.shape(value))
         known = np.broadcast_to(np.asarray(deviation, float), np.shape(value))
     except (TypeError, ValueError) as error:
         raise FieldError(field, free.prior, "does not fit", remedy) from error
+    if not np.isfinite(middle).all():
+        raise FieldError(field, free.prior, "must have a finite mean", remedy)
     if not np.all((known > 0.0) & (known < np.inf)):
         raise FieldError(field, free.prior, "must have a positive deviation", remedy)

@@ -9,7 +9,7 @@ the linear model says of the cut step.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,6 +25,10 @@ _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e12
 _FIRST_REACH = 0.3
 
 
+# Of squared misfits, element by element.
+_OfSquares: TypeAlias = Callable[[np.ndarray], np.ndarray]
+
+
 class Evaluation(NamedTuple):
     """Residuals at a point.
 
@@ -32,11 +36,13 @@ class Evaluation(NamedTuple):
         residual: Over their deviations, shape (N,), finite.
         jacobian: Shape (N, P).
         failed: Runs that did not reach their end.
+        rounding: Of the derivatives by relative changes of the coordinates.
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
     failed: int
+    rounding: float = 0.0
 
     @property
     def usable(self) -> bool:
@@ -76,20 +82,23 @@ class Loss(NamedTuple):
         weight: rho'(s).
     """
 
-    value: Callable[[np.ndarray], np.ndarray]
-    weight: Callable[[np.ndarray], np.ndarray]
+    value: _OfSquares
+    weight: _OfSquares
 
 
+_same: _OfSquares = lambda s: s
+_huber: _OfSquares = lambda s: np.where(
+    s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0
+)
+_huber_weight: _OfSquares = lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0))
+_soft: _OfSquares = lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0)
+_soft_weight: _OfSquares = lambda s: 1.0 / np.sqrt(1.0 + s)
+_cauchy_weight: _OfSquares = lambda s: 1.0 / (1.0 + s)
 LOSSES = {
-    "linear": Loss(lambda s: s, np.ones_like),
-    "huber": Loss(
-        lambda s: np.where(s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0),
-        lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0)),
-    ),
-    "soft_l1": Loss(
-        lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0), lambda s: 1.0 / np.sqrt(1.0 + s)
-    ),
-    "cauchy": Loss(np.log1p, lambda s: 1.0 / (1.0 + s)),
+    "linear": Loss(_same, np.ones_like),
+    "huber": Loss(_huber, _huber_weight),
+    "soft_l1": Loss(_soft, _soft_weight),
+    "cauchy": Loss(np.log1p, _cauchy_weight),
 }
 
 
@@ -148,13 +157,17 @@ def minimize(
         if 2.0 * promised <= _LEAST_FALL + _LEAST_SHARE * cost:
             converged = damping <= 1.0  # else it is the damping that allows no step
             break
-        tried = evaluate(z + step)
+        # what reaches a side is on it, not beside it by a rounding
+        ahead = np.where(
+            step <= box[0], lower, np.where(step >= box[1], upper, z + step)
+        )
+        tried = evaluate(ahead)
         evaluations += 1
         failed += tried.failed > 0 or not tried.usable
         found = _cost(tried, loss)
         gain = (cost - found) / promised
         if gain > 1e-4:
-            z, at, cost = z + step, tried, found
+            z, at, cost = ahead, tried, found
             path.append(z)
             damping *= max(1.0 / 9.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)
             grows, reach = 2.0, reach * (2.0 if gain > 0.5 else 1.0)

@@ -6,16 +6,16 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
+from ..validation.checks import FieldError, flag
 from . import paths
 from .channels import AbstractChannel
-from .transforms import (
-    AbstractTransform,
-)
+from .transforms import FORMS, AbstractTransform
 
 Bounds = tuple[ArrayLike | None, ArrayLike | None]
 Values = dict[str, Array]
@@ -48,6 +48,30 @@ class Free:
     form: str | None = None
     shared: bool | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse what no parameter can be asked for by.
+
+        Raises:
+            FieldError: a path that is none, bounds or a prior that are no pair, an
+                unknown form.
+        """
+        paths.keys_of(self.path)
+        field = f"Free({self.path!r})"
+        pairs: tuple[tuple[str, object, str], ...] = (
+            ("bounds", self.bounds, "give (least, largest), None for none"),
+            ("prior", self.prior, "give (mean, standard deviation)"),
+        )
+        for name, pair, remedy in pairs:
+            if pair is not None and not (
+                isinstance(pair, (tuple, list, np.ndarray)) and len(pair) == 2
+            ):
+                raise FieldError(f"{field}.{name}", pair, "must be a pair", remedy)
+        if self.form is not None and self.form not in FORMS:
+            remedy = f"use one of {FORMS}"
+            raise FieldError(f"{field}.form", self.form, "is not known", remedy)
+        if self.shared is not None:
+            flag(f"{field}.shared", self.shared)
+
 
 @dataclasses.dataclass(frozen=True)
 class Tied:
@@ -61,6 +85,18 @@ class Tied:
 
     path: str
     value: Callable[[Values], ArrayLike]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no path, or no function.
+
+        Raises:
+            FieldError: either of them.
+        """
+        paths.keys_of(self.path)
+        if not callable(self.value):
+            field = f"Tied({self.path!r}).value"
+            remedy = 'give a function, for example lambda values: values["body.mass"]'
+            raise FieldError(field, self.value, "must be a function", remedy)
 
 
 class Model(NamedTuple):

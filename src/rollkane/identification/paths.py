@@ -3,8 +3,8 @@
 import dataclasses
 import difflib
 import re
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -22,6 +22,9 @@ def keys_of(path: str) -> Keys:
     Raises:
         FieldError: it is not a path.
     """
+    remedy = 'write for example "body.mass" or "loads[1].linear"'
+    if not isinstance(path, str):
+        raise FieldError("Free.path", path, "must be text", remedy)
     keys: list[str | int] = []
     position = 0
     while position < len(path):
@@ -32,7 +35,6 @@ def keys_of(path: str) -> Keys:
         keys.append(int(index or name) if index or name.isdigit() else name)
         position = part.end()
     if position < len(path) or not keys:
-        remedy = 'write for example "body.mass" or "loads[1].linear"'
         raise FieldError("Free.path", path, "is not a path", remedy)
     return tuple(keys)
 
@@ -45,7 +47,9 @@ def child(tree: Any, key: str | int) -> Any:
     """
     if isinstance(key, int) or isinstance(tree, Mapping):
         try:
-            return tree[key]
+            if isinstance(key, int):  # of an array beyond its end, JAX takes the last
+                key = range(len(tree))[key]
+            return cast(Any, tree)[key]
         except (TypeError, KeyError, IndexError) as error:
             raise LookupError(key) from error
     names = {field.name for field in _fields(tree)}
@@ -72,16 +76,22 @@ def replaced(tree: Any, keys: Keys, value: Any) -> Any:
     return eqx.tree_at(lambda t: found(t, keys), tree, value)
 
 
+def is_floating(value: Any) -> bool:
+    """Whether it is an array of floating numbers."""
+    known = isinstance(value, (jax.Array, np.ndarray))
+    return known and np.issubdtype(cast(Any, value).dtype, np.floating)
+
+
 def floats(tree: Any, stem: str = "") -> Iterator[str]:
     """Paths of all floating arrays of a model."""
     if isinstance(tree, (jax.Array, np.ndarray)):
-        if np.issubdtype(tree.dtype, np.floating) and tree.size:
+        if is_floating(tree) and tree.size:
             yield stem
     elif isinstance(tree, Mapping):
-        for name, part in tree.items():
+        for name, part in cast(Mapping[str, Any], tree).items():
             yield from floats(part, f"{stem}.{name}" if stem else str(name))
     elif isinstance(tree, (tuple, list)):
-        for k, part in enumerate(tree):
+        for k, part in enumerate(cast(Sequence[Any], tree)):
             yield from floats(part, f"{stem}[{k}]")
     else:
         for field in _fields(tree):

@@ -1,12 +1,14 @@
 """Confidence intervals: from standard errors, and by profiles of chi-square."""
 
+from collections.abc import Callable
 from statistics import NormalDist
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
 
 from . import uncertainty
-from .estimates import Estimates
+from .estimates import Estimates, standard_errors_of
 from .experiments import Problem
 from .layout import Coordinates
 from .least_squares import Evaluation, minimize
@@ -36,6 +38,7 @@ def profile_interval(
         for entry in problem.layout.entries
         if entry.free.path == path
     }
+    of: Callable[[int], np.ndarray]
     of = lambda side: problem.layout.by_path(
         lambda e: ends[e.where.start][side] if e.where.start in ends else np.zeros(0)
     )[path]
@@ -48,15 +51,19 @@ def _of_entry(
     """Ends for every entry of one parameter, in its shape."""
     value = np.asarray(entry.transform.value(jnp.asarray(z[entry.where])))
     slope = uncertainty.slope(entry, z)
-    known = uncertainty.coordinate_covariance(problem.evaluate(z), problem.layout, z)
-    own = known[entry.where, entry.where]
-    errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slope, own, slope), 0.0))
+    at = problem.evaluate(z)
+    known = uncertainty.coordinate_covariance(at, problem.layout, z)
+    unseen = uncertainty.unseen_directions(at, problem.layout)
+    errors = np.ravel(standard_errors_of(entry, z, known, unseen))
     low, high = value.ravel().copy(), value.ravel().copy()
     done: dict[tuple[float, ...], int] = {}
     for k, error in enumerate(errors):
-        same = done.setdefault(tuple(np.round(slope[k], 12)), k)  # of a symmetric array
+        row = tuple(cast("list[float]", np.round(slope[k], 12).tolist()))
+        same = done.setdefault(row, k)  # of a symmetric array
         if same != k:
             low[k], high[k] = low[same], high[same]
+        elif np.isinf(error):
+            low[k], high[k] = -np.inf, np.inf
         elif error > 0.0:
             low[k] = _end(problem, entry, k, z, -error, rise)
             high[k] = _end(problem, entry, k, z, error, rise)
@@ -74,8 +81,9 @@ def _end(
     """Where the profile has risen, on the side of the error's sign."""
     layout = problem.layout
     least = float(np.sum(problem.evaluate(z).residual ** 2))
+    number: Callable[[np.ndarray], float]
     number = lambda z: float(
-        np.ravel(np.asarray(entry.transform.value(z[entry.where])))[k]
+        np.ravel(np.asarray(entry.transform.value(jnp.asarray(z[entry.where]))))[k]
     )
     middle, width = number(z), _HELD * abs(error)
     steps, point, reached = np.sqrt(rise), z, middle

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, real
 from .channels import AbstractChannel
 from .sensors import Orientation
 
@@ -45,15 +45,16 @@ class Record(eqx.Module):
                 name that belongs to the scene.
         """
         known = _times(time)
-        if not isinstance(channels, Mapping) or not channels:
-            remedy = 'give {"gyro": rollkane.Gyro(values, sigma=0.02)}'
-            raise FieldError("Record.channels", channels, "must name channels", remedy)
+        _check_named(channels)
         for name, channel in channels.items():
             _check_channel(name, channel, known.size)
         self.time = jnp.asarray(known)
         self.channels = dict(channels)
-        first = known[0] if start_time is None else float(start_time)
-        if not first <= known[0]:
+        first = known[0]
+        if start_time is not None:
+            meaning = "a time in seconds"
+            first = float(real("Record.start_time", start_time, (), meaning))
+        if first > known[0]:
             problem = f"is after the first sample, at {known[0]:g} s"
             remedy = "give a time before the samples, or leave earlier samples out"
             raise FieldError("Record.start_time", start_time, problem, remedy)
@@ -87,7 +88,13 @@ def _times(time: ArrayLike) -> np.ndarray:
     return known
 
 
-def _check_channel(name: str, channel: AbstractChannel, size: int) -> None:
+def _check_named(channels: object) -> None:
+    if not isinstance(channels, Mapping) or not channels:
+        remedy = 'give {"gyro": rollkane.Gyro(values, sigma=0.02)}'
+        raise FieldError("Record.channels", channels, "must name channels", remedy)
+
+
+def _check_channel(name: str, channel: object, size: int) -> None:
     field = f"Record.channels[{name!r}]"
     if not isinstance(channel, AbstractChannel):
         remedy = "give rollkane.Gyro, Accelerometer, Position, ..., Observed"

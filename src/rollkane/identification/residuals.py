@@ -7,7 +7,7 @@ output times move with it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -98,7 +98,8 @@ def grouped(
     largest = _delays(record, free)
     groups: list[Group] = []
     together: dict[str, AbstractChannel] = {}
-    for name, channel in record.channels.items():
+    # by name, as JAX orders a dictionary: misfits come back in one row
+    for name, channel in sorted(record.channels.items()):
         if channel.sigma is None:
             sigma = jnp.asarray(deviations[name])
             channel = eqx.tree_at(
@@ -130,7 +131,8 @@ def with_delay_bounds(
         owners = [r for r in records if name in r.channels]
         if not isinstance(one, Free) or field != "delay" or not owners:
             return one
-        low, high = (0.0, None) if one.bounds is None else one.bounds
+        low, high = (None, None) if one.bounds is None else one.bounds
+        low = 0.0 if low is None else low
         if high is None:
             spacing = max(float(np.median(np.diff(np.asarray(r.time)))) for r in owners)
             known = max(float(r.channels[name].delay) for r in owners)
@@ -195,7 +197,8 @@ def linearized(
         found = residuals_of(known, groups, counts, start_time, options)
         return found.misfit, found
 
-    jacobian, found = jax.jacfwd(misfits, has_aux=True)(z)
+    slopes = jax.jacfwd(misfits, has_aux=True)(z)
+    jacobian, found = cast(tuple[Array, Residuals], slopes)
     return Linearized(found.misfit, jacobian, found.counted, found.codes)
 
 
@@ -248,9 +251,9 @@ def _of_group(
             (samples.values, samples.sigma),
             is_leaf=lambda x: x is None,
         )
+        assert channel.sigma is not None
         predicted = run.each(channel.observed)
         predicted = predicted[1:] if group.leads else predicted
-        assert channel.sigma is not None
         sampled = ~jnp.isnan(samples.values)
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)

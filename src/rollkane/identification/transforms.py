@@ -51,6 +51,14 @@ class AbstractTransform(eqx.Module):
         """The given value with its named numbers changed, shape that of the value."""
         return self.reference + jnp.reshape(change, self.reference.shape)
 
+    def independent(self, value: Array) -> Array:
+        """Numbers of a value that a prior is of."""
+        return self.shown(value)
+
+    def deviations(self, deviation: Array) -> Array:
+        """Standard deviations of them, from those of the entries."""
+        return self.shown(deviation)
+
     def labels(self) -> tuple[str, ...]:
         """Names of these numbers, behind the parameter's own."""
         return entries(np.shape(self.value(jnp.asarray(self.start()))))
@@ -111,6 +119,10 @@ class Scaled(AbstractTransform):
     def changed(self, change: Float[Array, " 1"]) -> Array:
         """The array with its factor changed from 1."""
         return self.reference * (1.0 + change[0])
+
+    def deviations(self, deviation: Array) -> Array:
+        """Of the factor: the entries' deviations agree with it in their mean square."""
+        return jnp.sqrt(jnp.sum(deviation**2) / jnp.sum(self.reference**2))[None]
 
     def labels(self) -> tuple[str, ...]:
         """That it is a factor."""
@@ -200,7 +212,7 @@ class DiagonalInertia(AbstractInertia):
 
     def shown(self, value: Array) -> Array:
         """The moments."""
-        return jnp.diagonal(value)
+        return jnp.diag(value)
 
     def labels(self) -> tuple[str, ...]:
         """Axes of the moments."""
@@ -238,6 +250,14 @@ class Rotated(AbstractTransform):
         """The quaternion rotated about fixed axes [rad]."""
         return self.value(change)
 
+    def independent(self, value: Array) -> Array:
+        """The four entries, of the sign that is nearer to the one given."""
+        return jnp.where(value @ self.reference < 0.0, -value, value)
+
+    def deviations(self, deviation: Array) -> Array:
+        """Of the entries."""
+        return deviation
+
     def labels(self) -> tuple[str, ...]:
         """Fixed axes."""
         return (" about x", " about y", " about z")
@@ -268,6 +288,9 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
             raise FieldError(field, known, "is not diagonal", remedy)
         return DiagonalInertia(inertia)
     moments, axes = np.linalg.eigh(second_moments_of(known))
+    if moments[1] <= FLAT * moments[2]:
+        remedy = 'keep its ratios: form="scale"'
+        raise FieldError(field, known, "is of a body without any width", remedy)
     if moments[0] < -FLAT * moments[2]:
         problem = "violates the triangle inequality, which no distribution of mass can"
         raise FieldError(field, known, problem, "start from a possible body's inertia")
@@ -279,10 +302,9 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
 def _product(z: Float[Array, " k"], size: int) -> Float[Array, "n n"]:
     """``L L^T`` of logarithms on the diagonal, and ratios below it."""
     diagonal = jnp.exp(z[:size])
-    L = jnp.diag(diagonal)
     rows, columns = np.tril_indices(size, -1)
     below = z[size:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
-    L = L.at[rows, columns].set(below)
+    L = jnp.diag(diagonal).at[rows, columns].set(below)
     return L @ L.T
 
 

@@ -1,10 +1,12 @@
 """How well parameters are known: covariances from J^T J, and what is not seen."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from .layout import Coordinates, Layout
 from .least_squares import Evaluation
@@ -21,16 +23,18 @@ class Spectrum(NamedTuple):
         values: Decreasing, shape (P,).
         directions: Rows: directions in scaled coordinates, shape (P, P).
         scale: Of the coordinates, shape (P,).
+        rounding: Of the values.
     """
 
     values: np.ndarray
     directions: np.ndarray
     scale: np.ndarray
+    rounding: float
 
     @property
     def seen(self) -> np.ndarray:
         """Which directions change the prediction, shape (P,)."""
-        return self.values > UNSEEN * max(self.values[0], 1e-300)
+        return self.values > max(UNSEEN * self.values[0], self.rounding)
 
     @property
     def condition(self) -> float:
@@ -40,14 +44,16 @@ class Spectrum(NamedTuple):
         return float(self.values[0] / self.values[-1])
 
 
-def spectrum(jacobian: np.ndarray, scale: np.ndarray) -> Spectrum:
+def spectrum(
+    jacobian: np.ndarray, scale: np.ndarray, rounding: float = 0.0
+) -> Spectrum:
     """Singular values of ``jacobian * scale``."""
     columns = jacobian * scale
     if columns.shape[0] < columns.shape[1]:
         missing = columns.shape[1] - columns.shape[0]
         columns = np.concatenate([columns, np.zeros((missing, columns.shape[1]))])
     _, values, directions = np.linalg.svd(columns, full_matrices=False)
-    return Spectrum(values, directions, scale)
+    return Spectrum(values, directions, scale, rounding)
 
 
 def coordinate_covariance(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
@@ -58,7 +64,7 @@ def coordinate_covariance(at: Evaluation, layout: Layout, z: np.ndarray) -> np.n
     inside = ~active(at, layout, z)
     found = np.zeros((z.size, z.size))
     if inside.any():
-        parts = spectrum(at.jacobian[:, inside], layout.scale[inside])
+        parts = spectrum(at.jacobian[:, inside], layout.scale[inside], at.rounding)
         inverse = np.where(parts.seen, 1.0 / np.maximum(parts.values, 1e-300), 0.0)
         root = parts.scale[:, None] * parts.directions.T * inverse
         found[np.ix_(inside, inside)] = root @ root.T
@@ -74,20 +80,22 @@ def active(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
 
 def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
     """Directions in coordinates that change nothing, rows, shape (D, P)."""
-    parts = spectrum(at.jacobian, layout.scale)
+    parts = spectrum(at.jacobian, layout.scale, at.rounding)
     return parts.directions[~parts.seen] * parts.scale
 
 
 def slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
     """Derivative of a parameter's entries by its coordinates, shape (n, k)."""
+    flat: Callable[[Array], Array]
     flat = lambda x: jnp.ravel(entry.transform.value(x))
-    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
 
 
 def shown_slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
     """Derivative of its named numbers by its coordinates, shape (m, k)."""
+    flat: Callable[[Array], Array]
     flat = lambda x: entry.transform.shown(entry.transform.value(x))
-    return np.asarray(jax.jacfwd(flat)(jnp.asarray(z[entry.where])))
+    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
 
 
 def names_of(layout: Layout) -> tuple[str, ...]:

@@ -5,8 +5,8 @@ import warnings
 import numpy as np
 from jaxtyping import Float
 
+from .body_sensors import Gyro
 from .experiments import Problem
-from .sensors import Gyro
 
 _DEGREES = 180.0 / np.pi  # in a radian
 _NEAR = 0.3  # relative: a guess seldom predicts rates better, nor worse by chance

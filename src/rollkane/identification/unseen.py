@@ -65,15 +65,16 @@ def _powers(
     grows = [(e, g) for e, g in known if g is not None]
     if not grows:
         return []
-    columns = np.stack([g for _, g in grows], axis=1)
+    columns: np.ndarray = np.stack([g for _, g in grows], axis=1)
     outside = columns - unseen.T @ (unseen @ columns)
     size = np.linalg.norm(columns, axis=0)
     _, values, rows = np.linalg.svd(outside / size)
     values = np.concatenate([values, np.zeros(len(grows) - values.size)])
     inside = rows[values < _INSIDE]
     found: list[tuple[np.ndarray, str]] = []
-    for row in _sparse(inside) if len(inside) else []:
-        powers = row / size
+    rows = _sparse(inside) if len(inside) else inside
+    for k in range(len(rows)):
+        powers = rows[k] / size
         powers = powers / np.abs(powers).max()
         powers[np.abs(powers) < _MATTERS] = 0.0
         found.append((columns @ powers, _of_powers(powers, [e for e, _ in grows])))
@@ -83,6 +84,9 @@ def _powers(
 def _of_powers(powers: np.ndarray, entries: list[Coordinates]) -> str:
     involved = [(e.name, p) for e, p in zip(entries, powers, strict=True) if p]
     names = [name for name, _ in involved]
+    numbers = [len(e.transform.labels()) for e in entries]
+    if len(involved) == 1 and numbers[int(np.argmax(np.abs(powers)))] == 1:
+        return f"{names[0]} is not seen"
     if len(involved) == 1:
         return f"{names[0]}: its size is not seen, only ratios of its numbers"
     listed = " and ".join([", ".join(names[:-1]), names[-1]])
@@ -106,7 +110,7 @@ def _singles(layout: Layout, z: np.ndarray) -> list[tuple[np.ndarray, str]]:
             if changed.size == 1:
                 direction = np.zeros(layout.size)
                 direction[entry.where.start + k] = 1.0
-                name = entry.name + entry.transform.labels()[changed[0]]
+                name = entry.name + entry.transform.labels()[int(changed[0])]
                 found.append((direction, f"{name} is not seen"))
     return found
 
@@ -116,7 +120,7 @@ def _sparse(rows: np.ndarray) -> np.ndarray:
     rows = rows.copy()
     for k in range(len(rows)):
         below = np.abs(rows[k:])
-        r, c = np.unravel_index(np.argmax(below), below.shape)
+        r, c = divmod(int(np.argmax(below)), below.shape[1])
         rows[[k, k + r]] = rows[[k + r, k]]
         rows[k] /= rows[k, c]
         for other in range(len(rows)):

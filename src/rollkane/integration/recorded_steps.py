@@ -1,8 +1,5 @@
 """The steps that a run took, as its derivatives need them."""
 
-# steps are counted, though a tuple has a method of that name
-# pyright: reportIncompatibleMethodOverride=false
-
 from typing import NamedTuple
 
 import jax
@@ -28,7 +25,8 @@ class Steps(NamedTuple):
     """
 
     record: Float[Array, " n"]
-    count: Array
+    # a tuple has a method of this name, which is not wanted of these
+    count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
     sense: Array
     outputs: Float[Array, " T"]
     jumps: Float[Array, " k"] | None

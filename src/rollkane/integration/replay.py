@@ -5,9 +5,6 @@ for the tangents, and its transpose the same step backwards. Written out, both c
 fraction of what differentiating the integrator's loop costs.
 """
 
-# stages are counted, though a tuple has a method of that name
-# pyright: reportIncompatibleMethodOverride=false
-
 import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
@@ -71,7 +68,7 @@ class Run(NamedTuple):
         return _Stages(steps.sense * times, length * jnp.asarray(rows, begin.dtype))
 
     @property
-    def count(self) -> int:
+    def count(self) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]
         """How many rates a step is made of."""
         return len(self.weights.rows)
 

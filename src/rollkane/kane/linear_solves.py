@@ -1,13 +1,10 @@
 """Linear systems of a few unknowns: accelerations, and dependent speeds."""
 
-# lineax does not say its types
-# pyright: reportMissingTypeStubs=false
-
 from typing import cast
 
 import jax
 import jax.numpy as jnp
-import lineax as lx
+import lineax as lx  # pyright: ignore[reportMissingTypeStubs]
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, cross, solve_spd

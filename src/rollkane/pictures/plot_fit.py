@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ..files.atomic_file import write_whole
 from ..geometry.rotations import multiply
-from ..identification import sensors
+from ..identification import body_sensors, sensors
 from ..identification.channels import AbstractChannel
 from ..identification.estimates import Estimates
 from .plot_style import (
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 MOST_RECORDS = 3  # that are drawn, one beside the other
 _COLOURS = (BLUE, GREEN, PURPLE, BROWN, RED, INK)
 _UNITS: dict[type[AbstractChannel], str] = {
-    sensors.Gyro: " [rad/s]",
-    sensors.Accelerometer: " [m/s²]",
+    body_sensors.Gyro: " [rad/s]",
+    body_sensors.Accelerometer: " [m/s²]",
     sensors.Position: " [m]",
     sensors.Marker: " [m]",
     sensors.Orientation: " [1]",

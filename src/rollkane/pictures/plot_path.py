@@ -71,7 +71,7 @@ def draw_path_in_space(
         base: Surface of the base.
         size: How much of a base without ends is drawn beyond the path [m].
     """
-    from mpl_toolkits.mplot3d.art3d import Line3DCollection
+    from mpl_toolkits.mplot3d.art3d import Line3DCollection  # pyright: ignore[reportMissingTypeStubs]
 
     kept = motion.rows(motion.reached)
     if not kept.time.size:

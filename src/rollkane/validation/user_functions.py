@@ -106,7 +106,7 @@ class UserFunction(eqx.Module):
         return eqx.filter_closure_convert(lambda u: _call(function, *form, u), example)
 
     @property
-    def __name__(self) -> str:
+    def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of the user's function, for errors."""
         return _name(self._fixed)
 
@@ -200,7 +200,7 @@ class GivenFunction(eqx.Module):
         self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
 
     @property
-    def __name__(self) -> str:
+    def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of the user's function, for errors."""
         return _name(self._fixed)
 

@@ -1,0 +1,190 @@
+"""The search for least squares alone: bounds, losses, units, points without numbers."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+import rollkane as rk
+from rollkane.identification.least_squares import (
+    LOSSES,
+    Evaluation,
+    loss_of,
+    minimize,
+)
+
+# A search ends where the next step promises a fall of chi2 of no more than 1e-6, and
+# its step is at most damped by half there (damping 1, of a matrix that is scaled to a
+# unit diagonal): the rest is below 2e-6 or so, which leaves sqrt(2e-6) of a standard
+# deviation. A hundredth of one is five times that.
+NEAR = 1e-2
+
+
+def free(size):
+    return np.full(size, -np.inf), np.full(size, np.inf), np.ones(size)
+
+
+def of_matrix(A, b):
+    return lambda z: Evaluation(A @ z - b, A, 0)
+
+
+def deviations(A):
+    return np.sqrt(np.diag(np.linalg.inv(A.T @ A)))
+
+
+def rosenbrock(z):
+    x, y = z
+    residual = np.array([10.0 * (y - x * x), 1.0 - x])
+    return Evaluation(residual, np.array([[-20.0 * x, 10.0], [-1.0, 0.0]]), 0)
+
+
+def regression(seed=0):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((40, 3))
+    b = A @ np.array([1.0, -2.0, 0.5]) + rng.standard_normal(40)
+    b[::8] += 25.0
+    return A, b
+
+
+def test_a_curved_valley():
+    found = minimize(rosenbrock, np.array([-1.2, 1.0]), *free(2))
+    # J at (1, 1): [[-20, 10], [-1, 0]], with deviations 1 and sqrt(401) / 10 = 2.002
+    assert found.converged
+    assert found.cost < 1e-6
+    np.testing.assert_allclose(found.z, [1.0, 1.0], atol=NEAR)
+    assert found.evaluations < 60
+
+
+def test_every_accepted_point_is_better():
+    path = minimize(rosenbrock, np.array([-1.2, 1.0]), *free(2)).path
+    costs = [float(np.sum(rosenbrock(z).residual ** 2)) for z in path]
+    assert len(costs) > 5
+    assert (np.diff(costs) < 0.0).all()
+
+
+@pytest.mark.parametrize("target", [3.0, -3.0])
+def test_a_start_on_its_bound(target):
+    """It leaves the bound for an optimum inside, and stays for one outside."""
+    A = np.array([[1.0, 0.3], [0.2, 1.0], [0.5, -0.4]])
+    b = A @ np.array([target, 1.0])
+    lower, upper = np.array([0.0, -np.inf]), np.full(2, np.inf)
+    size = np.ones(2)
+    found = minimize(of_matrix(A, b), np.array([0.0, 5.0]), lower, upper, size)
+    expected = scipy.optimize.lsq_linear(A, b, (lower, upper)).x
+    assert found.converged
+    np.testing.assert_allclose(found.z, expected, atol=NEAR * deviations(A).max())
+    assert (found.z[0] == 0.0) == (target < 0.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_box_against_another_solver(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((12, 6))
+    b = 5.0 * rng.standard_normal(12)
+    lower, upper = np.full(6, -0.4), np.full(6, 0.4)
+    expected = scipy.optimize.lsq_linear(A, b, (lower, upper), tol=1e-14).x
+    for start in (lower, upper, np.zeros(6)):
+        found = minimize(of_matrix(A, b), start, lower, upper, np.ones(6))
+        assert found.converged
+        assert ((found.path >= lower) & (found.path <= upper)).all()
+        cost = 0.5 * np.sum((A @ expected - b) ** 2)
+        # twice the cost is to fall by no more than 1e-6 (and again by as much)
+        assert found.cost - cost < 2e-6
+    assert np.sum(np.abs(np.abs(expected) - 0.4) < 1e-9) > 0  # some are on the box
+
+
+@pytest.mark.parametrize("name", [n for n in LOSSES if n != "linear"])
+def test_losses_against_another_solver(name):
+    A, b = regression()
+    found = minimize(of_matrix(A, b), np.zeros(3), *free(3), LOSSES[name])
+    known = scipy.optimize.least_squares(
+        lambda z: A @ z - b, np.zeros(3), lambda z: A, loss=name, xtol=1e-12, ftol=1e-14
+    )
+    assert found.converged
+    # the weighted steps fall short of Newton's by what outliers curve: ten times 1e-6
+    assert abs(found.cost - known.cost) < 1e-5
+    # the outliers move the straight loss by more than the robust ones
+    straight = minimize(of_matrix(A, b), np.zeros(3), *free(3)).z
+    truth = np.array([1.0, -2.0, 0.5])
+    assert np.abs(found.z - truth).max() < 0.5 * np.abs(straight - truth).max()
+
+
+@pytest.mark.parametrize("name", LOSSES)
+def test_weights_are_the_slopes_of_losses(name):
+    s = np.array([0.2, 0.9, 1.1, 3.0, 400.0])
+    h = 1e-5 * s
+    loss = LOSSES[name]
+    slope = (loss.value(s + h) - loss.value(s - h)) / (2.0 * h)
+    # rounding 1e-16 of values up to s over h = 1e-5 s, and h^2 / s^2: 1e-10
+    np.testing.assert_allclose(loss.weight(s), slope, rtol=1e-9)
+
+
+def test_units_do_not_matter():
+    A, b = regression()
+    units = np.array([1e-6, 1.0, 1e7])
+    start = np.array([0.5, 0.5, 0.5])
+    one = minimize(of_matrix(A, b), start, *free(3)).path
+    other = minimize(of_matrix(A * units, b), start / units, *free(3)[:2], 1.0 / units)
+    # the same steps but for rounding, 1e-16 times some 1e3 operations
+    np.testing.assert_allclose(other.path * units, one, atol=1e-12)
+
+
+def test_points_without_numbers_are_counted_and_avoided():
+    """Beyond 1.2 nothing is known, and the optimum would be at 1.4."""
+    tried = []
+
+    def evaluate(z):
+        tried.append(z[0])
+        bad = z[0] > 1.2
+        value = np.nan if bad else 1e3 * (z[0] - 1.4)
+        return Evaluation(np.array([value]), np.array([[1e3]]), int(bad))
+
+    found = minimize(evaluate, np.array([0.3]), *free(1))
+    beyond = sum(z > 1.2 for z in tried)
+    assert beyond > 0
+    assert found.failed == beyond
+    assert found.evaluations == len(tried)
+    assert (found.path <= 1.2).all()
+    assert np.isfinite(found.cost)
+    assert found.cost < 0.5 * (1e3 * 1.1) ** 2  # that of the start
+    assert not found.converged
+
+
+def test_a_start_without_numbers_is_given_back():
+    nothing = Evaluation(np.array([np.nan]), np.array([[1.0]]), 1)
+    found = minimize(lambda z: nothing, np.array([2.0]), *free(1))
+    assert found.z == 2.0
+    assert found.cost == np.inf
+    assert not found.converged
+    assert found.failed == 1
+
+
+def test_a_coordinate_that_nothing_shows_stays():
+    A = np.array([[1.0, 0.0], [2.0, 0.0], [0.5, 0.0]])
+    b = A @ np.array([4.0, 0.0])
+    found = minimize(of_matrix(A, b), np.array([0.0, 7.0]), *free(2))
+    assert found.converged
+    assert found.z[1] == 7.0
+    assert abs(found.z[0] - 4.0) < NEAR / np.sqrt(5.25)
+
+
+def test_few_points_do_not_converge():
+    found = minimize(rosenbrock, np.array([-1.2, 1.0]), *free(2), most=4)
+    assert not found.converged
+    assert found.evaluations == 4
+
+
+def test_accepted_points_are_told():
+    told = []
+    found = minimize(
+        rosenbrock,
+        np.array([-1.2, 1.0]),
+        *free(2),
+        told=lambda count, cost: told.append((count, cost)),
+    )
+    assert len(told) == len(found.path) - 1
+    assert told[-1][1] == found.cost
+
+
+def test_an_unknown_loss():
+    with pytest.raises(rk.FieldError, match="use one of"):
+        loss_of("absolute")
