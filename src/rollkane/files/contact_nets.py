@@ -13,8 +13,9 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
+from ..identification.body_sensors import Gyro
 from ..identification.records import Record
-from ..identification.sensors import Gyro, Orientation, Position
+from ..identification.sensors import Orientation, Position
 from ..validation.checks import FieldError
 
 RATE = 148.0  # samples a second
@@ -95,7 +96,7 @@ def read_toss(path: str | os.PathLike[str]) -> Toss:
         problem = f"holds an array of shape {rows.shape}, not (T, {_COLUMNS})"
         raise FieldError("read_toss.path", str(path), problem, "give a toss's file")
     parts = np.split(rows, [3, 7, 10, 13], axis=1)
-    time = np.arange(rows.shape[0]) / RATE
+    time = np.arange(float(rows.shape[0])) / RATE
     return Toss(time, HALF_WIDTH * parts[0], parts[1], HALF_WIDTH * parts[2], parts[3])
 
 
@@ -122,7 +123,8 @@ class _Reader(pickle.Unpickler):
     def persistent_load(self, pid: Any, /) -> _Storage:
         """Which numbers are meant."""
         _, kind, key, *_ = pid
-        return _Storage(kind() if callable(kind) else str(kind), str(key))
+        name: object = kind() if callable(kind) else kind
+        return _Storage(str(name), str(key))
 
 
 def _tensor(path: Path) -> np.ndarray:

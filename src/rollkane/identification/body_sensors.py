@@ -78,6 +78,8 @@ class Gyro(AbstractBodySensor):
         misalignment: [rad], shape (3,).
     """
 
+    __init__ = AbstractBodySensor.__init__  # else one of a dataclass, to type checkers
+
     def observed(self, scene: Scene, t: Array, state: AnyState) -> Float[Array, "3"]:
         """The angular velocity."""
         return contact_of(scene, t, state).angular_velocity

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -69,13 +69,11 @@ class _Plan(NamedTuple):
 
     def chosen(self, layout: Layout) -> np.ndarray:
         """Coordinates of the wanted parameters."""
-        return np.concatenate(
-            [
-                np.arange(entry.where.start, entry.where.stop)
-                for entry in layout.entries
-                if entry.free.path in self.wanted
-            ]
-        )
+        found: list[int] = []
+        for entry in layout.entries:
+            if entry.free.path in self.wanted:
+                found += range(entry.where.start, entry.where.stop)
+        return np.array(found)
 
 
 def design_experiment(
@@ -228,10 +226,12 @@ def _gradient(
         now = changed.applied(model, d)
         found = linearized(slots, now, groups, counts, time, plan.options, z)
         columns = found.jacobian * scale[None]
-        covariance = jnp.linalg.inv(columns.T @ columns)[chosen][:, chosen]
+        inverse = cast(Array, jnp.linalg.inv(columns.T @ columns))
+        covariance = inverse[chosen][:, chosen]
         if plan.criterion == "A":
-            return -0.5 * jnp.log(jnp.mean(jnp.diagonal(covariance)))
-        return -0.5 * jnp.linalg.slogdet(covariance)[1] / chosen.size
+            return -0.5 * jnp.log(jnp.trace(covariance) / chosen.size)
+        volume = cast(Array, jnp.linalg.slogdet(covariance)[1])
+        return -0.5 * volume / chosen.size
 
-    slope = jax.jit(jax.jacfwd(score))
+    slope = cast(Callable[[Array], Array], jax.jit(jax.jacfwd(score)))
     return lambda d: np.asarray(slope(jnp.asarray(d)))

@@ -121,10 +121,10 @@ class Problem:
                 whole[:, entry.where] = slope
                 residuals.append(value)
                 jacobians.append(whole)
-        residual, jacobian = np.concatenate(residuals), np.concatenate(jacobians)
+        residual = np.concatenate(residuals)
         if self.progress is not None:
             self.progress(self.rollouts, float(residual @ residual))
-        return Evaluation(residual, jacobian, failed, self.rounding)
+        return Evaluation(residual, np.concatenate(jacobians), failed, self.rounding)
 
     @property
     def rounding(self) -> float:

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,6 +19,10 @@ from .transforms import FORMS, AbstractTransform
 
 Bounds = tuple[ArrayLike | None, ArrayLike | None]
 Values = dict[str, Array]
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, (tuple, list, np.ndarray)) and len(cast(Any, value)) == 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,14 +61,12 @@ class Free:
         """
         paths.keys_of(self.path)
         field = f"Free({self.path!r})"
-        pairs: tuple[tuple[str, object, str], ...] = (
+        pairs = (
             ("bounds", self.bounds, "give (least, largest), None for none"),
             ("prior", self.prior, "give (mean, standard deviation)"),
         )
         for name, pair, remedy in pairs:
-            if pair is not None and not (
-                isinstance(pair, (tuple, list, np.ndarray)) and len(pair) == 2
-            ):
+            if pair is not None and not _is_pair(pair):
                 raise FieldError(f"{field}.{name}", pair, "must be a pair", remedy)
         if self.form is not None and self.form not in FORMS:
             remedy = f"use one of {FORMS}"

@@ -23,7 +23,7 @@ def keys_of(path: str) -> Keys:
         FieldError: it is not a path.
     """
     remedy = 'write for example "body.mass" or "loads[1].linear"'
-    if not isinstance(path, str):
+    if not isinstance(cast(object, path), str):
         raise FieldError("Free.path", path, "must be text", remedy)
     keys: list[str | int] = []
     position = 0
@@ -48,7 +48,7 @@ def child(tree: Any, key: str | int) -> Any:
     if isinstance(key, int) or isinstance(tree, Mapping):
         try:
             if isinstance(key, int):  # of an array beyond its end, JAX takes the last
-                key = range(len(tree))[key]
+                key = range(len(cast(Any, tree)))[key]
             return cast(Any, tree)[key]
         except (TypeError, KeyError, IndexError) as error:
             raise LookupError(key) from error

@@ -1,6 +1,6 @@
 """Posteriors: samples of the parameters, by Hamiltonian Monte Carlo."""
 
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -71,18 +71,18 @@ def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
         return (cotangent * slope,)
 
     potential.defvjp(forward, backward)
-    return potential
+    return cast(Any, potential)
 
 
 def _sampled(
     potential: Any, size: int, draws: int, warmup: int, seed: int
 ) -> np.ndarray:
     """Draws in whitened coordinates, shape (draws, P)."""
-    from numpyro.infer import MCMC, NUTS
+    from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingTypeStubs]
 
     kernel = NUTS(potential_fn=potential, dense_mass=False)
     chain = MCMC(kernel, num_warmup=warmup, num_samples=draws, progress_bar=False)
     # numpyro relies on both promotions, whatever the caller has set
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
         chain.run(jax.random.PRNGKey(seed), init_params=jnp.zeros(size))
-    return np.asarray(chain.get_samples())
+    return np.asarray(cast(Any, chain.get_samples()))

@@ -197,8 +197,9 @@ def linearized(
         found = residuals_of(known, groups, counts, start_time, options)
         return found.misfit, found
 
-    slopes = jax.jacfwd(misfits, has_aux=True)(z)
-    jacobian, found = cast(tuple[Array, Residuals], slopes)
+    jacobian, found = cast(
+        tuple[Array, Residuals], jax.jacfwd(misfits, has_aux=True)(z)
+    )
     return Linearized(found.misfit, jacobian, found.counted, found.codes)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -164,5 +164,8 @@ def _derivatives(
         found = {name: run.each(function) for name, function in functions}
         return found, (found, run.code)
 
-    slopes, (found, code) = jax.jacfwd(observed, has_aux=True)(changes)
+    slopes, (found, code) = cast(
+        tuple[dict[str, tuple[Array, ...]], tuple[dict[str, Array], Array]],
+        jax.jacfwd(observed, has_aux=True)(changes),
+    )
     return found, slopes, code

@@ -68,6 +68,8 @@ class Position(_AtPoint):
         at: The body's point, body axes [m], shape (3,).
     """
 
+    __init__ = _AtPoint.__init__
+
 
 class Marker(_AtPoint):
     """Position of a marker on the body, FIXED axes [m].
@@ -80,6 +82,8 @@ class Marker(_AtPoint):
         gain: [1], shape (3,).
         at: Where it is, body axes [m], shape (3,).
     """
+
+    __init__ = _AtPoint.__init__
 
 
 class Orientation(AbstractChannel):
