@@ -264,7 +264,7 @@ class Orientation(AbstractChannel):
     def misfit(self, predicted: Float[Array, "T 4"]) -> Float[Array, "T 3"]:
         """Rotation from the predicted to the measured orientation [rad]."""
         size = jnp.sqrt(jnp.sum(self.values**2, axis=1, keepdims=True))
-        back = predicted * jnp.array([1.0, -1.0, -1.0, -1.0])
+        back = predicted * jnp.array([[1.0, -1.0, -1.0, -1.0]])
         apart = multiply((self.values / size).T, back.T)
         # of the shorter of the two ways round; 2 v / w is 2 tan(angle / 2)
         along = jnp.where(apart[:1] < 0.0, -1.0, 1.0)
