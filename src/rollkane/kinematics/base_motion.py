@@ -71,6 +71,10 @@ class BaseKinematics(eqx.Module):
         point = self.to_fixed(point)
         return point if self.position is None else self.position + point
 
+    def on_base(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Base axes, from the base origin [m], of a point on fixed axes [m]."""
+        return self.to_base(point - (0.0 if self.position is None else self.position))
+
     @property
     def origin_velocity(self) -> Float[Array, "3"] | None:
         """``(k_c, l_c, m_c)``, of the base origin [m/s], BASE axes ([A] (1.2))."""
