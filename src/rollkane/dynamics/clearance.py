@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
-from ..geometry.surfaces import AbstractSurface, Parametric, Revolution
+from ..geometry.surfaces import AbstractSurface
 from ..kinematics.base_motion import BaseKinematics
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState
@@ -131,15 +131,11 @@ def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
     sides: list[_Side] = []
     if _has_inside(base):
         level: _Level = lambda x: base.signed_distance(placed(x))
-        sides.append((body, level, placed, _is_searched(base)))
+        sides.append((body, level, placed, base.searches_distance))
     if _has_inside(body) and not base.is_flat:
         level = lambda x: body.signed_distance(back(x))
-        sides.append((base, level, lambda x: x, _is_searched(body)))
+        sides.append((base, level, lambda x: x, body.searches_distance))
     return sides
-
-
-def _is_searched(surface: AbstractSurface) -> bool:
-    return isinstance(surface, (Parametric, Revolution))
 
 
 def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:

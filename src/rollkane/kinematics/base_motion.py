@@ -8,7 +8,7 @@ translation.
 
 import abc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -114,6 +114,8 @@ def _sum(*terms: Array | None) -> Array | None:
 
 class AbstractBaseMotion(eqx.Module):
     """How a base moves in time."""
+
+    turns_steadily: ClassVar[bool] = False  # about its own z axis, and nothing else
 
     @abc.abstractmethod
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
@@ -283,6 +285,7 @@ class Spin(AbstractBaseMotion):
         position: Base origin [m], fixed axes, shape (3,); None: the fixed origin.
     """
 
+    turns_steadily: ClassVar[bool] = True
     rate: Float[Array, ""]
     orientation: Float[Array, "4"] | None
     position: Float[Array, "3"] | None

@@ -23,7 +23,7 @@ from ..geometry.small_linear import (
     solve_2x2,
     solve_4x4,
 )
-from ..geometry.surfaces import AbstractNormalSurface, AbstractSurface, Ring
+from ..geometry.surfaces import AbstractSurface
 from .base_motion import BaseKinematics
 from .contact import Contact, within
 from .coordinates import State
@@ -174,7 +174,7 @@ def chart_contact(
         relative = state.angular_velocity - on_frame
     sigma, tau, n = components(relative)
     turning = jnp.stack([tau, -sigma])
-    kind = isinstance(body, AbstractNormalSurface), isinstance(body, Ring)
+    kind = body.is_by_normal, body.is_wire
     q_dot, qc_dot = _chart_rates(*kind, shell, ground, s, T, turning)
     steps = matvec(shell.lengths, q_dot)
     tilt_1, tilt_2 = components(matvec(shell.frame_rates, q_dot))

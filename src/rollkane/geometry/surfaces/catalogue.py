@@ -29,6 +29,7 @@ class Plane(AbstractPairSurface):
     """
 
     is_flat: ClassVar[bool] = True
+    is_height: ClassVar[bool] = True
     is_bounded: ClassVar[bool] = False
 
     def __init__(self):
