@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from .array_memory import Index, Look, Memory
+from .data_movement import sliced
 from .jaxpr_types import Aval, Equation, Params
 from .memory_walk import MemoryWalk, Value
 from .scalar_program import ELEMENTWISE, REDUCTIONS, Axes, NotElementwiseError
@@ -120,12 +121,6 @@ def _view(walk: MemoryWalk, x: Memory, function: Look) -> Memory:
     return x.looked_at(function)
 
 
-def _sliced(x: np.ndarray, params: Params) -> np.ndarray:
-    starts, limits = params["start_indices"], params["limit_indices"]
-    strides = params["strides"] or (1,) * len(starts)
-    return x[tuple(map(slice, starts, limits, strides))]
-
-
 def _broadcast(x: np.ndarray, params: Params) -> np.ndarray:
     spread = [1] * len(params["shape"])
     for axis, size in zip(params["broadcast_dimensions"], x.shape, strict=True):
@@ -145,7 +140,7 @@ _VIEWS: dict[str, Callable[[np.ndarray, Params], np.ndarray]] = {
     "broadcast_in_dim": _broadcast,
     "expand_dims": lambda x, p: np.expand_dims(x, p["dimensions"]),
     "rev": lambda x, p: np.flip(x, p["dimensions"]),
-    "slice": _sliced,
+    "slice": sliced,
     "squeeze": lambda x, p: np.squeeze(x, tuple(p["dimensions"])),
     "transpose": lambda x, p: x.transpose(p["permutation"]),
 }

@@ -40,10 +40,11 @@ def _broadcast(inputs: list[Numbers], params: Params) -> Numbers:
     return np.broadcast_to(inputs[0].reshape(spread), params["shape"])
 
 
-def _sliced(inputs: list[Numbers], params: Params) -> Numbers:
+def sliced(x: np.ndarray, params: Params) -> np.ndarray:
+    """The part of an array that a slice takes."""
     starts, limits = params["start_indices"], params["limit_indices"]
     strides = params["strides"] or (1,) * len(starts)
-    return inputs[0][tuple(map(slice, starts, limits, strides))]
+    return x[tuple(map(slice, starts, limits, strides))]
 
 
 def _iota(inputs: list[Numbers], params: Params) -> Numbers:
@@ -82,7 +83,7 @@ MOVES: dict[str, Callable[[list[Numbers], Params], Numbers]] = {
     "pad": _padded,
     "reshape": lambda x, p: x[0].reshape(p["new_sizes"]),
     "rev": lambda x, p: np.flip(x[0], p["dimensions"]),
-    "slice": _sliced,
+    "slice": lambda x, p: sliced(x[0], p),
     "squeeze": lambda x, p: np.squeeze(x[0], tuple(p["dimensions"])),
     "stack": lambda x, p: np.stack(x, p["axis"]),
     "tile": lambda x, p: np.tile(x[0], p["reps"]),

@@ -67,7 +67,7 @@ class XlaCall:
             head: Names of whole numbers that the parts know.
             parts: Files and texts behind ``xla_call.h``; ``called_by_xla`` is in them.
             others: Those of further texts of the program, each compiled by itself.
-            effort: See :func:`rollkane.codegen.compiler.compiled`.
+            effort: Of the compiler; see :class:`rollkane.codegen.compiler.Program`.
 
         Raises:
             NoCompilerError: no C compiler.

@@ -32,7 +32,7 @@ _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 def zeros_of(x: Any) -> bytes:
     """Which numbers of an array are zero, one byte for each.
 
-    None if it is traced, or too large for its zeros to be its structure.
+    No bytes if it is traced, or too large for its zeros to be its structure.
     """
     seen = _zeros.get(id(x))
     if seen is not None and seen[0]() is x:

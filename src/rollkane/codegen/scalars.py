@@ -1,6 +1,6 @@
 """Numbers of a program in C, of the types that they have there, and operations on them.
 
-Whole numbers stay whole here, unlike in the rows of many motions (``statements``).
+Whole numbers stay whole here, unlike in the rows of many motions (``scalar_source``).
 """
 
 from typing import Any, NamedTuple

@@ -42,6 +42,15 @@ class Weights(NamedTuple):
     error: tuple[float, ...]
     order: int
 
+    @property
+    def padded(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of all stages with zeros behind, shape (s, s), and their nodes, (s,)."""
+        count = len(self.rows) + 1
+        rows = np.zeros((count, count))
+        for i, row in enumerate(self.rows, start=1):
+            rows[i, :i] = row
+        return rows, np.concatenate([[0.0], self.nodes])
+
 
 class Tableau(NamedTuple):
     """An explicit method whose last stage is the end of its step.
@@ -94,9 +103,5 @@ def tableau_of(solver: Any, dtype: DTypeLike) -> Tableau:
         FieldError: see :func:`weights_of`.
     """
     weights = weights_of(solver, "a run with modes")
-    count = len(weights.rows) + 1
-    rows = np.zeros((count, count))
-    for i, row in enumerate(weights.rows, start=1):
-        rows[i, :i] = row
-    nodes = np.concatenate([[0.0], weights.nodes])
-    return Tableau(*(jnp.asarray(x, dtype) for x in (rows, nodes, weights.error)))
+    numbers = *weights.padded, weights.error
+    return Tableau(*(jnp.asarray(x, dtype) for x in numbers))

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
-from ..geometry.surfaces import AbstractSurface, Parametric, Revolution
+from ..geometry.surfaces import AbstractSurface
+from ..kinematics.base_motion import BaseKinematics
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState
 from ..kinematics.voronets import AnyState
@@ -130,15 +131,11 @@ def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
     sides: list[_Side] = []
     if _has_inside(base):
         level: _Level = lambda x: base.signed_distance(placed(x))
-        sides.append((body, level, placed, _is_searched(base)))
+        sides.append((body, level, placed, base.searches_distance))
     if _has_inside(body) and not base.is_flat:
         level = lambda x: body.signed_distance(back(x))
-        sides.append((base, level, lambda x: x, _is_searched(body)))
+        sides.append((base, level, lambda x: x, body.searches_distance))
     return sides
-
-
-def _is_searched(surface: AbstractSurface) -> bool:
-    return isinstance(surface, (Parametric, Revolution))
 
 
 def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:
@@ -184,14 +181,18 @@ def _pose(scene: Scene, t: Float[Array, ""], state: AnyState) -> tuple[Array, Ar
         contact = contact_of(scene, t, state)
         to_base = contact.to_base
         return to_base, contact.base_point - matvec(to_base, contact.body_point)
+    _, place, to_base = flying_pose(scene, t, cast(FlyingState, state))
+    return to_base, place
+
+
+def flying_pose(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[BaseKinematics | None, Float[Array, "3"], Float[Array, "3 3"]]:
+    """Motion of the base, origin of the body on its axes [m], and body to base axes."""
     motion = scene.base.motion
     moving = None if motion is None else motion.at(t)
-    state = cast(FlyingState, state)
-    place = state.position
-    if moving is not None:
-        start = 0.0 if moving.position is None else moving.position
-        place = moving.to_base(place - start)
-    return body_to_base(rotation_matrix(state.orientation), moving), place
+    place = state.position if moving is None else moving.on_base(state.position)
+    return moving, place, body_to_base(rotation_matrix(state.orientation), moving)
 
 
 def _candidates(

@@ -21,12 +21,10 @@ from ..geometry.small_linear import (
     norm,
     solve_2x2,
 )
-from ..kinematics.base_motion import BaseKinematics
-from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
 from ..validation.checks import real, refuse
 from .bodies import Vector
-from .clearance import lowest_places, may_touch_twice, reach_of
+from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
 from .rolling import contact_of
 from .scene import Scene
 
@@ -130,7 +128,7 @@ def closing(
         Rate of the gap [m/s]; speed of the body's origin over the base [m/s]; length of
         the angular velocity relative to it [rad/s].
     """
-    moving, place, to_base = _placed(scene, t, state)
+    moving, place, to_base = flying_pose(scene, t, state)
     ground, point = _points(scene, state, to_base)
     w, v = state.angular_velocity, state.velocity
     if moving is not None:
@@ -213,10 +211,7 @@ def _found(
     moving = None if motion is None else motion.at(t)
     R = rotation_matrix(e)
     if near is None:
-        near = r
-        if moving is not None:
-            origin = 0.0 if moving.position is None else moving.position
-            near = moving.to_base(r - origin)
+        near = r if moving is None else moving.on_base(r)
     on_base = base.locate(jnp.asarray(near, r.dtype))
     on_body = jnp.zeros(0, r.dtype)
     if scene.has_contact_coordinates:
@@ -275,24 +270,11 @@ def _moved(scene: Scene, state: FlyingState, x: Float[Array, " m"]) -> FlyingSta
     return eqx.tree_at(_places, state, places)
 
 
-def _placed(
-    scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[BaseKinematics | None, Float[Array, "3"], Float[Array, "3 3"]]:
-    """Motion of the base, origin of the body on its axes [m], and body to base axes."""
-    motion = scene.base.motion
-    moving = None if motion is None else motion.at(t)
-    place = state.position
-    if moving is not None:
-        origin = 0.0 if moving.position is None else moving.position
-        place = moving.to_base(place - origin)
-    return moving, place, body_to_base(rotation_matrix(state.orientation), moving)
-
-
 def on_body_axes(
     scene: Scene, t: Float[Array, ""], state: FlyingState, point: Float[Array, "3"]
 ) -> Float[Array, "3"]:
     """A point on base axes [m], on those of the body in flight."""
-    _, place, to_base = _placed(scene, t, state)
+    _, place, to_base = flying_pose(scene, t, state)
     return matvec_transposed(to_base, point - place)
 
 
@@ -314,7 +296,7 @@ def _apart(
 ) -> tuple[Float[Array, " m"], Float[Array, ""]]:
     """How far the points are from being nearest, and their distance [m]."""
     state = _moved(scene, state, x)
-    _, place, to_base = _placed(scene, t, state)
+    _, place, to_base = flying_pose(scene, t, state)
     ground, point = _points(scene, state, to_base)
     first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
     aligned = []

@@ -5,7 +5,7 @@ or a force on the body, or both.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -25,6 +25,8 @@ Wrench: TypeAlias = tuple[Float[Array, "3"], Float[Array, "3"]]
 
 class AbstractLoad(eqx.Module):
     """A load; the kinds override what they are."""
+
+    is_fixed_in_space: ClassVar[bool] = False  # it depends on the place on fixed axes
 
     @property
     def field(self) -> Float[Array, "3"] | None:
@@ -203,6 +205,7 @@ class Potential(AbstractLoad):
         parameters: Numbers that the function depends on.
     """
 
+    is_fixed_in_space: ClassVar[bool] = True
     potential: Any
     point: Float[Array, "3"]
     parameters: Any

@@ -11,16 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import cross, dot, matvec, norm
-from ..kinematics.base_motion import Spin
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
 from .contact_laws import accelerations, momentum_rate
-from .loads import Potential
 from .mass_matrix import assemble, field_of, shares, times_lower
 from .rolling import contact_of, press_and_pull
 from .scene import Scene
-from .supported import AbstractSupported, Prescribed, total
+from .supported import AbstractSupported, total
 
 
 class _Moving(NamedTuple):
@@ -195,7 +193,7 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
         strict=True,
     )
     for (supported, alpha, alpha_dot), (part, s, drive, torque) in parts:
-        if isinstance(supported, Prescribed):
+        if supported.is_prescribed:
             push = cross(w_dot, s) if slid is None else cross(w_dot, s) + slid[:, None]
             need = part.mass[None] * push + drive
             value = value + jnp.sum(dot(part.velocity, need))
@@ -237,8 +235,8 @@ def kept_energy(scene: Scene) -> str:
         return ""
     if motion is None:
         return "energy"
-    fixed_in_space = any(isinstance(load, Potential) for load in scene.loads)
-    if not isinstance(motion, Spin) or fixed_in_space:
+    fixed_in_space = any(load.is_fixed_in_space for load in scene.loads)
+    if not motion.turns_steadily or fixed_in_space:
         return ""
     if field is not None:
         axis = np.asarray(motion.at(jnp.zeros((), field.dtype)).rotation)[:, 2]

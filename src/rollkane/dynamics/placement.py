@@ -14,7 +14,7 @@ from ..codegen.compile_effort import for_one_call
 from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
-from ..geometry.surfaces import AbstractPointSurface, DiscEdge, PointOfNormal, Ring
+from ..geometry.surfaces import AbstractPointSurface, PointOfNormal
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import SlidingState, State, shared_parts
 from ..validation.checks import is_traced, real, spoilt
@@ -247,10 +247,8 @@ def _fit(
 ) -> _Fit:
     base, body = scene.base.surface, scene.body.surface
     orientation, point = asked["orientation"], asked["contact_on_base"]
-    if isinstance(base, (DiscEdge, Ring)) and asked["base_normal"] is not None:
-        on_base = base.at_edge(point, asked["base_normal"])
-    else:
-        on_base = base.locate(point)
+    normal = asked["base_normal"]
+    on_base = base.locate(point) if normal is None else base.at_edge(point, normal)
     ground = base.geometry(on_base)
     orientation = orientation / norm(orientation)
     rotation = rotation_matrix(orientation)

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Array
 
 from ..codegen.compile_effort import for_one_call
-from ..geometry.surfaces import DiscEdge, Ring
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from .rolling import press_and_pull
@@ -108,7 +107,7 @@ def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
             "place.slip", given["slip"], "follows from velocity", "give one of both"
         )
     normal = given["base_normal"]
-    if normal is not None and not isinstance(scene.base.surface, (DiscEdge, Ring)):
+    if normal is not None and not scene.base.surface.is_edge:
         raise FieldError(
             "place.base_normal",
             normal,

@@ -8,7 +8,7 @@ mechanics needs nothing else.
 import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -33,7 +33,13 @@ from .coordinate_functions import functions_of, moved
 class AbstractSupported(eqx.Module):
     """Something carried, with ``count`` coordinates alpha."""
 
+    is_prescribed: ClassVar[bool] = False  # whether its motion is a function of time
     count: eqx.AbstractVar[int]
+
+    @property
+    def part(self) -> "AbstractSupported":
+        """What is carried, whether its motion is prescribed or not."""
+        return self
 
     @abc.abstractmethod
     def carried(
@@ -259,6 +265,7 @@ class Prescribed(AbstractSupported):
         count: 0: no coordinate is left to be found.
     """
 
+    is_prescribed: ClassVar[bool] = True
     supported: PointMasses | SupportedBody
     motion: UserFunction
     count: int = eqx.field(static=True)
@@ -292,6 +299,11 @@ class Prescribed(AbstractSupported):
         field = "Prescribed.motion"
         self.motion = UserFunction(field, motion, 1, parameters)
         check_output(field, self.motion, jnp.zeros(1), (supported.count,))
+
+    @property
+    def part(self) -> PointMasses | SupportedBody:
+        """What is carried."""
+        return self.supported
 
     def carried(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]

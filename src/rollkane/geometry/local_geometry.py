@@ -44,6 +44,12 @@ class LocalGeometry(eqx.Module):
     spin_rates: Float[Array, "2"] | None = None
 
     @property
+    def chart_spin(self) -> Float[Array, "2"]:
+        """``spin_rates`` of a chart, which always has them."""
+        assert self.spin_rates is not None
+        return self.spin_rates
+
+    @property
     def normal(self) -> Float[Array, "3"]:
         """Unit normal out of the material [1], shape (3,)."""
         return self.frame[:, 2]

@@ -24,6 +24,7 @@ from ..dynamics.rolling_problem import at_an_edge, has_edges
 from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.integrate import in_order
+from ..integration.solve import without_derivative
 from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
@@ -55,14 +56,8 @@ class HybridOutcome(eqx.Module):
 
     @property
     def unknown(self) -> "HybridOutcome":
-        """What of it has no derivative: what was not reached, or where it stopped."""
-        is_nan: Callable[[Array], Array] = lambda x: x != x
-        lost = jax.tree.map(is_nan, self)
-        stopped = self.code != Code.COMPLETED
-        or_stopped: Callable[[Array], Array] = lambda x: x | stopped
-        where: Callable[[HybridOutcome], Any] = lambda s: (s.final_time, s.final_state)
-        all_of: Callable[[Any], Any] = lambda part: jax.tree.map(or_stopped, part)
-        return eqx.tree_at(where, lost, replace_fn=all_of)
+        """What of it has no derivative."""
+        return without_derivative(self, lambda s: (s.final_time, s.final_state))
 
 
 def integrate_modes(

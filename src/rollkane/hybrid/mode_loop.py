@@ -79,7 +79,7 @@ class Loop(Trials):
             searching=verdict.searching,
             bracket=verdict.bracket,
             cuts=verdict.cuts,
-            landing=jnp.where(lands, self.next_landing(tried.t), c.landing),
+            landing=jnp.where(lands, self.landings.following(tried.t), c.landing),
             path=c.path.after(output, event & accept, at.mode, *after),
             record=record,
             accepted=c.accepted + jnp.where(accept, 1, 0),
@@ -142,12 +142,6 @@ class Loop(Trials):
             max_steps = min(max_steps, RECORDED_STEPS)
         return jax.lax.while_loop(going, lambda c: self.step(c), begun)
 
-    def next_landing(self, t: Float[Array, ""]) -> Array:
-        """Number of the first landing behind a time."""
-        ends = self.landings.ends
-        behind = jnp.searchsorted(ends, t, side="right")
-        return jnp.minimum(behind, ends.shape[0] - 1).astype(int)
-
     def _begun(self, mode: Int[Array, ""], y: HybridState, recorded: int) -> Run:
         """The loop's first value."""
         t, whole = self.times[0], jnp.asarray(0)
@@ -162,7 +156,7 @@ class Loop(Trials):
             searching=jnp.asarray(False),
             bracket=Bracket(*(zero for _ in Bracket._fields)),
             cuts=whole,
-            landing=self.next_landing(t),
+            landing=self.landings.following(t),
             path=Path.empty(begun.moded, self.times, switches),
             record=Record.empty(recorded, begun, switches) if recorded else None,
             accepted=whole,

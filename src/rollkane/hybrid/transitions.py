@@ -83,7 +83,7 @@ class Motion(ModeRates):
             touching, up = picked(flies, of(hit.touching), still), hit.speed > 0.0
             flying = of(hit.flying)
         if self.modes.lifts:
-            flying = picked(flies, flying, self._lifted(direction, t, y))
+            flying = picked(flies, flying, self._lifted(t, y))
         speed = size_of(touching.slip)
         slips = speed > 0.0
         stays, way, gripped = self.settled(t, touching)
@@ -98,9 +98,7 @@ class Motion(ModeRates):
             picked(leaves, flying, touching),
         )
 
-    def _lifted(
-        self, direction: Float[Array, "3"], t: Float[Array, ""], y: HybridState
-    ) -> HybridState:
+    def _lifted(self, t: Float[Array, ""], y: HybridState) -> HybridState:
         """In flight, as the contact left it."""
         return of(in_flight(y.sliding(), self.scenes.rolling, t))
 

@@ -12,7 +12,10 @@ from .solve import Plan, Rates, Record, Solution, landings_of
 
 
 def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
-    """Derivatives of a plain run along its steps; see :func:`differentiable`."""
+    """Derivatives of a plain run along its steps.
+
+    See :func:`rollkane.integration.differentiate.differentiable`.
+    """
     weights = weights_of(plan.solver, "a run")
 
     def run_of(

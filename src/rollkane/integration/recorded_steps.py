@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..codegen import Way
+from .step_control import end_before
 
 
 class Steps(NamedTuple):
@@ -50,9 +51,7 @@ class Steps(NamedTuple):
         begin, following = self.sense * self.record[i], self.sense * self.record[i + 1]
         if self.jumps is None:
             return begin, following, following
-        at = jnp.nextafter(following, -jnp.inf)
-        end = jnp.nextafter(at, -jnp.inf)
-        return begin, jnp.where(jnp.any(at == self.jumps), end, following), following
+        return begin, end_before(following, self.jumps)[0], following
 
     def shows(self, i: Array, output: Array) -> Bool[Array, ""]:
         """Whether an output lies at the end of a step."""

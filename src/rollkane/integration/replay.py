@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop
@@ -58,14 +57,12 @@ class Run(NamedTuple):
     def stages(self, steps: Steps, i: Array) -> "_Stages":
         """The stages of a step."""
         begin, end, _ = steps.span(i)
-        nodes = np.concatenate([[0.0], self.weights.nodes])[: self.count]
-        share = jnp.asarray(nodes, begin.dtype)
+        rows, nodes = self.weights.padded  # the last stage is the end
+        share = jnp.asarray(nodes[:-1], begin.dtype)
         times = jnp.where(share == 1.0, end, begin + share * (end - begin))
-        rows = np.zeros((self.count + 1, self.count))
-        for m, row in enumerate(self.weights.rows, start=1):
-            rows[m, :m] = row
         length = steps.sense * (end - begin)
-        return _Stages(steps.sense * times, length * jnp.asarray(rows, begin.dtype))
+        weights = jnp.asarray(rows[:, :-1], begin.dtype)
+        return _Stages(steps.sense * times, length * weights)
 
     @property
     def count(self) -> int:  # pyright: ignore[reportIncompatibleMethodOverride]

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
 
 import diffrax as dfx
 import equinox as eqx
@@ -96,6 +96,14 @@ class Plan(NamedTuple):
     allowed: Allowed | None = None
 
 
+class _Ended(Protocol):
+    @property
+    def code(self) -> Array: ...
+
+
+_Run = TypeVar("_Run", bound=_Ended)
+
+
 class Solution(eqx.Module):
     """What a solve gives; see :class:`rollkane.integration.integrate.Outcome`."""
 
@@ -109,18 +117,32 @@ class Solution(eqx.Module):
 
     @property
     def unknown(self) -> "Solution":
-        """What of it has no derivative: what was not reached, and where a run stopped.
+        """What of it has no derivative."""
+        return without_derivative(self, lambda s: (s.final_time, s.final_y))
 
-        A run that stops of itself does so at a time that depends on everything.
-        """
 
-        def is_nan(x: Array) -> Array:
-            return x != x
+def without_derivative(run: _Run, last: Callable[[_Run], Any]) -> _Run:
+    """What of a run's numbers has no derivative, as flags of their shapes.
 
-        lost = jax.tree.map(is_nan, self)
-        stopped = self.code != Code.COMPLETED
-        where: Callable[[Solution], Any] = lambda s: (s.final_time, s.final_y)
-        return eqx.tree_at(where, lost, replace_fn=lambda x: x | stopped)
+    What was not reached; and where the run ended, if it stopped of itself: it does so
+    at a time that depends on everything.
+
+    Args:
+        run: What came out of it, with its ``code``.
+        last: ``last(run)`` -> time and state of its end.
+    """
+
+    def is_nan(x: Array) -> Array:
+        return x != x
+
+    lost = jax.tree.map(is_nan, run)
+    stopped = run.code != Code.COMPLETED
+
+    def or_stopped(x: Array) -> Array:
+        return x | stopped
+
+    each: Callable[[Any], Any] = lambda part: jax.tree.map(or_stopped, part)
+    return eqx.tree_at(last, lost, replace_fn=each)
 
 
 def solve(

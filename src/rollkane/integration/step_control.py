@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import norm
 from ..validation.checks import is_traced
@@ -44,6 +44,11 @@ class Landings(NamedTuple):
     ends: Float[Array, " n"]
     starts: Float[Array, " n"]
     jumps: Float[Array, " k"] | None
+
+    def following(self, t: Number) -> Int[Array, ""]:
+        """Number of the first end behind a time [s]."""
+        behind = jnp.searchsorted(self.ends, t, side="right")
+        return jnp.minimum(behind, self.ends.shape[0] - 1).astype(int)
 
 
 class Stops(NamedTuple):
@@ -169,15 +174,9 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
             terms, t0, t1, y0, dt0, args, func, error_order
         )
         wanted = t_next - t0
-        index = self._next(t0)
+        index = self.landings.following(t0)
         first = self._towards(self.landings.ends[index], t0, wanted)
         return first, (inner, index, wanted)
-
-    def _next(self, t: Number) -> Int[Array, ""]:
-        """The first end behind a time."""
-        ends = self.landings.ends
-        behind = jnp.searchsorted(ends, t, side="right")
-        return jnp.minimum(behind, ends.shape[0] - 1).astype(int)
 
     def _towards(self, goal: Array, t: Number, dt: Number) -> Float[Array, ""]:
         left = goal - t
@@ -208,7 +207,7 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
         if jumps is not None:
             next_t0 = jnp.where(landed, starts[index], next_t0)
             jump = jump | (landed & (starts[index] > ends[index]))
-        index = jnp.where(landed, self._next(t1), index)
+        index = jnp.where(landed, self.landings.following(t1), index)
         t_end = self._towards(ends[index], next_t0, dt)
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 
@@ -246,6 +245,22 @@ def landings(
     behind = jnp.where(jumps, jnp.nextafter(ends, jnp.inf), ends)
     at = jnp.where(jumps, ends, jnp.inf)
     return Landings(before * sign, behind * sign, at * sign)
+
+
+def end_before(
+    start: Float[Array, ""], jumps: Float[Array, " k"]
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """Where the step ends before one that begins at a time, and whether at a jump.
+
+    As :func:`landings` has it: one number before a jump, the next one number behind it.
+
+    Args:
+        start: Where a step begins [s]; time runs forwards.
+        jumps: Times of jumps [s].
+    """
+    at = jnp.nextafter(start, -jnp.inf)
+    jumped = jnp.any(at == jumps)
+    return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
 
 
 def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, " n"]:
@@ -289,11 +304,7 @@ class ReplaySteps(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     def _end(self, index: int | Int[Array, ""]) -> tuple[Float[Array, ""], _Truth]:
         """Where the step ends whose successor is recorded; whether at a jump."""
         start = self.times[index]
-        if self.jumps is None:
-            return start, False
-        at = jnp.nextafter(start, -jnp.inf)
-        jumped = jnp.any(at == self.jumps)
-        return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
+        return (start, False) if self.jumps is None else end_before(start, self.jumps)
 
     def init(
         self,

@@ -1,7 +1,7 @@
 """Kane's method for any system that a user can write down.
 
 From outside to inside: ``motion`` integrates, ``linearization`` and ``equations``
-evaluate a system that ``system`` describes; ``ready``, ``bicycle`` and
+evaluate a system that ``system`` describes; ``examples``, ``bicycle`` and
 ``rolling_scene`` write systems down.
 """
 

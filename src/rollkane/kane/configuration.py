@@ -15,8 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
-from ..validation.user_functions import GivenFunction
-from .equations import Partials, speeds_of
+from .equations import Partials, evaluation, speeds_of
 from .system import KaneState, KaneSystem
 
 # The end of a run is a start, too. Runs drift by less than three times their relative
@@ -80,11 +79,7 @@ def held(
     moved = jnp.ones_like(t), Y @ u + Z
 
     def values(t: Array, q: Array) -> tuple[Any, Any]:
-        more = system.more(t, q, u)
-
-        def of(f: GivenFunction | None) -> Any:
-            return None if f is None else f(t, q, u, more)
-
+        of = evaluation(system, t, q, u)
         F = of(system.configuration)
         return (F, of(system.kinematics), of(system.constraints)), F
 

@@ -226,7 +226,6 @@ def values_of(
     system: KaneSystem, t: Array, q: Float[Array, " n"], u: Float[Array, " m"]
 ) -> Velocities:
     """Of every function that is affine in the speeds."""
-    more = system.more(t, q, u)
     functions = Velocities(
         [part.velocity for part in system.parts],
         [part.angular_velocity for part in _turning(system)],
@@ -235,11 +234,18 @@ def values_of(
         system.kinematics,
     )
     alone: Callable[[Any], bool] = lambda x: isinstance(x, GivenFunction)
+    return jax.tree.map(evaluation(system, t, q, u), functions, is_leaf=alone)
 
-    def value(f: GivenFunction) -> Any:
-        return f(t, q, u, more)
 
-    return jax.tree.map(value, functions, is_leaf=alone)
+def evaluation(
+    system: KaneSystem, t: Array, q: Float[Array, " n"], u: Float[Array, " m"]
+) -> Callable[[GivenFunction | None], Any]:
+    """``of(f)``: what a function of the system's gives at a state; None of None.
+
+    What its functions share is computed once.
+    """
+    more = system.more(t, q, u)
+    return lambda f: None if f is None else f(t, q, u, more)
 
 
 def partials_of(system: KaneSystem, t: Array, q: Float[Array, " n"]) -> Partials:
@@ -263,11 +269,7 @@ def _rates(
     q_dot: Float[Array, " n"],
 ) -> _Rates:
     def along(t: Array, q: Array) -> tuple[Any, Any]:
-        more = system.more(t, q, u)
-
-        def of(f: GivenFunction | None) -> Any:
-            return None if f is None else f(t, q, u, more)
-
+        of = evaluation(system, t, q, u)
         velocities = (
             [of(part.velocity) for part in system.parts],
             [of(part.angular_velocity) for part in _turning(system)],

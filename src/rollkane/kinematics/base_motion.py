@@ -8,7 +8,7 @@ translation.
 
 import abc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -71,6 +71,10 @@ class BaseKinematics(eqx.Module):
         point = self.to_fixed(point)
         return point if self.position is None else self.position + point
 
+    def on_base(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
+        """Base axes, from the base origin [m], of a point on fixed axes [m]."""
+        return self.to_base(point - (0.0 if self.position is None else self.position))
+
     @property
     def origin_velocity(self) -> Float[Array, "3"] | None:
         """``(k_c, l_c, m_c)``, of the base origin [m/s], BASE axes ([A] (1.2))."""
@@ -110,6 +114,8 @@ def _sum(*terms: Array | None) -> Array | None:
 
 class AbstractBaseMotion(eqx.Module):
     """How a base moves in time."""
+
+    turns_steadily: ClassVar[bool] = False  # about its own z axis, and nothing else
 
     @abc.abstractmethod
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
@@ -279,6 +285,7 @@ class Spin(AbstractBaseMotion):
         position: Base origin [m], fixed axes, shape (3,); None: the fixed origin.
     """
 
+    turns_steadily: ClassVar[bool] = True
     rate: Float[Array, ""]
     orientation: Float[Array, "4"] | None
     position: Float[Array, "3"] | None

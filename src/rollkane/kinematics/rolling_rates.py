@@ -19,7 +19,7 @@ from ..geometry.small_linear import (
     solve_2x2,
     solve_4x4,
 )
-from ..geometry.surfaces import AbstractSurface, Ring
+from ..geometry.surfaces import AbstractSurface
 
 Pair = tuple[Float[Array, "3"], Float[Array, "3"]]  # of tangent vectors
 # velocity of the contact point along the body, rates on the body, rates on the base
@@ -57,7 +57,7 @@ def rolling_unknowns(body: AbstractSurface, base: AbstractSurface) -> Roll:
     """Which unknowns are solved for, where the body has contact coordinates."""
     if base.is_flat:
         return _roll_on_plane
-    return _roll_as_wire if isinstance(body, Ring) else _roll_on_base
+    return _roll_as_wire if body.is_wire else _roll_on_base
 
 
 def roll_by_normal(

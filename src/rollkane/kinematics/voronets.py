@@ -23,7 +23,7 @@ from ..geometry.small_linear import (
     solve_2x2,
     solve_4x4,
 )
-from ..geometry.surfaces import AbstractNormalSurface, AbstractSurface, Ring
+from ..geometry.surfaces import AbstractSurface
 from .base_motion import BaseKinematics
 from .contact import Contact, within
 from .coordinates import State
@@ -174,11 +174,11 @@ def chart_contact(
         relative = state.angular_velocity - on_frame
     sigma, tau, n = components(relative)
     turning = jnp.stack([tau, -sigma])
-    kind = isinstance(body, AbstractNormalSurface), isinstance(body, Ring)
+    kind = body.is_by_normal, body.is_wire
     q_dot, qc_dot = _chart_rates(*kind, shell, ground, s, T, turning)
     steps = matvec(shell.lengths, q_dot)
     tilt_1, tilt_2 = components(matvec(shell.frame_rates, q_dot))
-    gam_q = dot(_spin(shell), q_dot)
+    gam_q = dot(shell.chart_spin, q_dot)
     return ChartContact(
         orientation=None,
         rotation=rotation,
@@ -200,7 +200,7 @@ def chart_contact(
         steps=steps,
         frame_turn=jnp.stack([-tilt_2, tilt_1, -gam_q]),
         base_turn=on_frame,
-        angle_rate=s * dot(_spin(ground), qc_dot) - gam_q - n,
+        angle_rate=s * dot(ground.chart_spin, qc_dot) - gam_q - n,
         sign=s,
         by_normal=kind[0],
         is_wire=kind[1],
@@ -253,7 +253,7 @@ def virtual_rates(
     turning = jnp.stack([tau, -sigma])
     kind = contact.by_normal, contact.is_wire
     dq, dqc = _chart_rates(*kind, shell, ground, s, contact.tangents, turning)
-    return dq, dqc, s * dot(_spin(ground), dqc) - dot(_spin(shell), dq) - n
+    return dq, dqc, s * dot(ground.chart_spin, dqc) - dot(shell.chart_spin, dq) - n
 
 
 def _chart_rates(
@@ -290,8 +290,3 @@ def _chart_rates(
     x = jnp.stack(columns, axis=1)  # L^-1 T L_c
     qc_dot = solve_2x2(matmul(shell.frame_rates, x) - own, turning)
     return matvec(x, qc_dot), qc_dot
-
-
-def _spin(geometry: LocalGeometry) -> Float[Array, "2"]:
-    assert geometry.spin_rates is not None  # chart_geometry always gives them
-    return geometry.spin_rates

@@ -160,8 +160,8 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
     (D11, D12), (D21, D22) = (components(row) for row in components(Delta))
     R = D11 * D22 - D12 * D21
     # gam.q' = g.u and gam_c.qc' = g_c.u, u = V on (e1, e2)
-    g = solve_2x2(shell.lengths.T, _spin(shell))
-    g_c = matvec(T, solve_2x2(ground.lengths.T, _spin(ground)))
+    g = solve_2x2(shell.lengths.T, shell.chart_spin)
+    g_c = matvec(T, solve_2x2(ground.lengths.T, ground.chart_spin))
     away = s * g_c - g  # theta' = C - n + Delta_1 u1 - Delta_2 u2
     zero = jnp.zeros_like(R)
     A, B, C = (
@@ -205,15 +205,10 @@ def paper_quantities(contact: ChartContact, principal: bool = False) -> PaperQua
         d=s * R,
         p=coefficients(-tilts[1]),
         q=coefficients(tilts[0]),
-        r=coefficients(-matvec(q_of.T, _spin(shell))),
+        r=coefficients(-matvec(q_of.T, shell.chart_spin)),
         w_1=contact.frame_turn,
         kappa=jnp.stack([-u_of[1], u_of[0]]).T,
     )
-
-
-def _spin(geometry: LocalGeometry) -> Float[Array, "2"]:
-    assert geometry.spin_rates is not None
-    return geometry.spin_rates
 
 
 def _refuse_askew(owner: str, geometry: LocalGeometry) -> LocalGeometry:

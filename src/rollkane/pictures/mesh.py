@@ -18,15 +18,11 @@ from ..geometry.surfaces import (
     Cone,
     Cylinder,
     DiscEdge,
-    Graph,
-    Plane,
     Revolution,
     Ring,
     Torus,
 )
 
-# Surfaces with one height above each x and y: as long as one likes, drawn in part.
-HEIGHTS = (Plane, Graph, Cone)
 _WIRE = 0.02  # thickness of a drawn wire, of its ring's radius
 
 
@@ -140,7 +136,7 @@ def _domain(surface: AbstractSurface, touched: np.ndarray, size: float) -> np.nd
     if isinstance(surface, Cone):
         reach = np.max(np.hypot(touched[:, 0], touched[:, 1])) + size
         domain = np.array([[0.0, reach], [-np.pi, np.pi]])
-    elif isinstance(surface, HEIGHTS):
+    elif surface.is_height:
         domain = np.stack([low[:2], high[:2]], axis=1)
     elif isinstance(surface, Cylinder):
         domain[1] = low[2], high[2]

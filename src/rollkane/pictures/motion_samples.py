@@ -14,7 +14,7 @@ from ..dynamics.mass_matrix import shares
 from ..dynamics.observables import energy, kept_energy, moving_energy
 from ..dynamics.rolling import contact_force, contact_of
 from ..dynamics.scene import Scene
-from ..dynamics.supported import AbstractSupported, Prescribed, SupportedBody
+from ..dynamics.supported import SupportedBody
 from ..geometry.rotations import in_one_sense, quaternion_of
 from ..geometry.small_linear import cross, matvec, norm
 from ..kinematics.base_motion import BaseKinematics
@@ -244,15 +244,13 @@ def _carried_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
         part = supported.carried(t, alpha, rates)
         places = part.place.T
         if part.turning is not None:
-            arms = _spread(_own(supported))[:, None] * part.turning.rotation.T
+            arms = (
+                _spread(cast(SupportedBody, supported.part))[:, None]
+                * part.turning.rotation.T
+            )
             places = jnp.concatenate([places + arms, places - arms])
         rows.append(places.reshape(-1))
     return rows
-
-
-def _own(supported: AbstractSupported) -> Any:
-    """What is carried, whether its motion is prescribed or not."""
-    return supported.supported if isinstance(supported, Prescribed) else supported
 
 
 def _spread(part: SupportedBody) -> Float[Array, "3"]:
@@ -266,7 +264,7 @@ def _masses(scene: Scene) -> np.ndarray:
     """Mass of every point of ``_carried_rows`` [kg]."""
     masses: list[np.ndarray] = []
     for supported in scene.supported:
-        own = _own(supported)
+        own: Any = supported.part
         mass = np.asarray(own.mass, dtype=float)
         masses.append(np.full(6, mass / 6) if isinstance(own, SupportedBody) else mass)
     return np.concatenate([np.zeros(0), *masses])

@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..geometry.surfaces import AbstractSurface, Cone, Plane
-from .mesh import HEIGHTS, chart_points, surface_mesh
+from ..geometry.surfaces import AbstractSurface, Cone
+from .mesh import chart_points, surface_mesh
 from .motion_samples import MotionSamples
 from .plot_style import FAINT, INK, RED, dress, limits
 
@@ -49,7 +49,7 @@ def draw_path(
     panel.set_xlim(*limits(x, 0.15, least))
     panel.set_ylim(*limits(y, 0.15, least))
     panel.set_aspect("equal", adjustable="box")
-    if isinstance(base, HEIGHTS) and not isinstance(base, Plane):
+    if base is not None and base.is_height and not base.is_flat:
         _draw_heights(panel, base, factor)
     _mark_ends(panel, x, y)
     whose = " of the base" if motion.base_moves and not in_space else ""

@@ -20,7 +20,7 @@ from ..geometry.surfaces import (
     Torus,
 )
 from ..simulation.trajectory import Trajectory
-from .mesh import HEIGHTS, body_size
+from .mesh import body_size
 from .motion_samples import MotionSamples, motion_samples
 from .plot_path import draw_path, draw_path_in_space
 from .plot_style import (
@@ -109,7 +109,7 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
     motion = motion_samples(trajectory)
     base = trajectory.scene.base.surface
     upwards = motion.base_outward[motion.reached, 2]
-    if isinstance(base, HEIGHTS) or (upwards > _FACES_UP).all():
+    if base.is_height or (upwards > _FACES_UP).all():
         _from_above(figure, motion, base)
     else:
         panel = figure.add_subplot(projection="3d")

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from ..files.atomic_file import write_whole
-from ..geometry.surfaces import Plane
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .mesh import Mesh, body_size, plate_mesh, surface_mesh
@@ -152,7 +151,7 @@ def _frames(motion: MotionSamples) -> dict[str, Any]:
 
 def _body_mesh(trajectory: Trajectory, motion: MotionSamples, size: float) -> Mesh:
     surface = trajectory.scene.body.surface
-    if isinstance(surface, Plane):
+    if surface.is_flat:
         return plate_mesh(motion.contact_on_body, size)
     return surface_mesh(surface, motion.contact_on_body, motion.body_outward, size)
 
@@ -162,7 +161,7 @@ def _base_data(
 ) -> dict[str, Any] | None:
     """Mesh of the base; of a plane, which the page draws itself, only the word."""
     surface = trajectory.scene.base.surface
-    if isinstance(surface, Plane):
+    if surface.is_flat:
         return {"plane": True}
     extent = np.max(np.ptp(motion.contact_on_base, axis=0), initial=0.0)
     margin = 1.3 * size + 0.1 * float(extent)

@@ -1,8 +1,8 @@
 """Scene files: a body, its base, its loads, its start and its run, written in TOML.
 
 From outside to inside: ``loading`` reads a file, ``checking`` holds it against the
-``tables``, ``building`` makes the scene, and ``problems`` collects whatever is wrong,
-at the places that ``positions`` finds.
+``tables``, ``scene_building`` makes the scene, and ``problems`` collects whatever is
+wrong, at the places that ``positions`` finds.
 """
 
 from .loading import SceneFile as SceneFile

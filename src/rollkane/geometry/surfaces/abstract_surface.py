@@ -27,6 +27,11 @@ class AbstractSurface(eqx.Module):
     coordinate_count: eqx.AbstractClassVar[int]
     is_flat: ClassVar[bool] = False
     is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
+    is_height: ClassVar[bool] = False  # one height above each x and y, drawn in part
+    is_by_normal: ClassVar[bool] = False  # parametrized by its normal, edges included
+    is_edge: ClassVar[bool] = False  # several normals at each point
+    is_wire: ClassVar[bool] = False  # an edge all round
+    searches_distance: ClassVar[bool] = False  # ``signed_distance`` does, over samples
 
     @abc.abstractmethod
     def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
@@ -57,6 +62,11 @@ class AbstractSurface(eqx.Module):
     @abc.abstractmethod
     def locate(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
         """Coordinates of the surface point at, or near, a point [m]."""
+
+    def at_edge(self, point: Float[Array, "3"], normal: Float[Array, "3"]) -> Array:
+        """Coordinates near a point, of an edge where the normal is the given one."""
+        del normal
+        return self.locate(point)
 
     @abc.abstractmethod
     def samples(self) -> np.ndarray | Array:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ...validation.checks import flag, is_traced, positive, real, refuse
 from ..local_geometry import LocalGeometry
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .directions import NormalHeading, PointOfNormal, Range, longitude_latitude
+from .directions import NormalHeading, PointOfNormal, Range
 from .edges import in_plane
 from .kinds import AbstractNormalSurface, AbstractPairSurface
 
@@ -29,6 +29,7 @@ class Plane(AbstractPairSurface):
     """
 
     is_flat: ClassVar[bool] = True
+    is_height: ClassVar[bool] = True
     is_bounded: ClassVar[bool] = False
 
     def __init__(self):
@@ -279,10 +280,6 @@ class Torus(AbstractPairSurface):
                 jnp.arctan2(z, jnp.sqrt(x * x + y * y) - self.major_radius),
             ]
         )
-
-    def chart_of_normal(self, normal: Float[Array, "3"]) -> Float[Array, "2"]:
-        """Both angles of the outer point with a normal [rad]."""
-        return longitude_latitude(normal)
 
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
         """On a plane, the outer half by its normal; else None."""

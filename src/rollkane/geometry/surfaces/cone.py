@@ -29,6 +29,7 @@ class Cone(AbstractPointSurface):
 
     coordinate_count = 3
     is_bounded: ClassVar[bool] = False
+    is_height: ClassVar[bool] = True
     slope: Float[Array, ""]
     inside: bool = eqx.field(static=True)
 

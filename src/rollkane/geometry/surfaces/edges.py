@@ -5,7 +5,7 @@ the other surface: the contact of a ring goes on round the wire, that of a disc 
 on to its face.
 """
 
-from typing import cast
+from typing import ClassVar, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -73,6 +73,7 @@ class DiscEdge(AbstractNormalSurface):
         radius: [m].
     """
 
+    is_edge: ClassVar[bool] = True
     radius: Float[Array, ""]
 
     def __init__(self, radius: ArrayLike):
@@ -147,6 +148,8 @@ class Ring(AbstractPointSurface):
     """
 
     coordinate_count = 4
+    is_edge: ClassVar[bool] = True
+    is_wire: ClassVar[bool] = True
     radius: Float[Array, ""]
 
     def __init__(self, radius: ArrayLike):

@@ -7,7 +7,7 @@ other surface has *explicit contact coordinates*, on a manifold without poles.
 
 import abc
 from collections.abc import Callable
-from typing import cast
+from typing import ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,7 @@ class AbstractNormalSurface(AbstractSurface):
     """A surface parametrized by its normal, its coordinate (inverse Gauss map)."""
 
     coordinate_count = 3
+    is_by_normal: ClassVar[bool] = True
 
     @abc.abstractmethod
     def point_with_normal(self, normal: Float[Array, "3"]) -> Float[Array, "3"]:

@@ -1,7 +1,7 @@
 """Surfaces of revolution by their meridian, smooth where it meets the axis."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -63,6 +63,7 @@ class Revolution(AbstractPointSurface):
         inside: Whether the outward side is turned towards the axis.
     """
 
+    searches_distance: ClassVar[bool] = True
     profile: UserFunction
     domain: tuple[float, float] = eqx.field(static=True)
     poles: tuple[bool, bool] = eqx.field(static=True)

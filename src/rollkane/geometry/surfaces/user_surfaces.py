@@ -52,6 +52,7 @@ class Graph(AbstractPairSurface):
     """
 
     is_bounded: ClassVar[bool] = False
+    is_height: ClassVar[bool] = True
     f: UserFunction
     domain: Range = eqx.field(static=True)
 
@@ -119,6 +120,7 @@ class Parametric(AbstractPointSurface):
         domain: Ranges of the two parameters for searches and drawing.
     """
 
+    searches_distance: ClassVar[bool] = True
     position: UserFunction
     of_direction: bool = eqx.field(static=True)
     inside: bool = eqx.field(static=True)
@@ -240,11 +242,9 @@ class Parametric(AbstractPointSurface):
         if self.of_direction:
             return out
         beyond = jnp.asarray(False)
-        spacing = grid_spacing(self.domain)
-        for k, ((low, high), slack) in enumerate(
-            zip(self.domain, spacing, strict=True)
-        ):
-            beyond |= (u[k] < low - slack) | (u[k] > high + slack)
+        slack = grid_spacing(self.domain)
+        for k, (low, high) in enumerate(self.domain):
+            beyond |= (u[k] < low - slack[k]) | (u[k] > high + slack[k])
         return jnp.where(beyond, jnp.inf, out)
 
 
