@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -52,6 +52,13 @@ bench-engine: $(VENV)/.bench
 bench-peers: $(VENV)/.bench .venv-mujoco/.installed .venv-exudyn/.installed
 	$(BIN)/python benchmarks/compare.py --out benchmarks/results
 
+bench-fit: $(VENV)/.bench .venv-sysid/.installed
+	$(BIN)/python benchmarks/fit.py --seeds 100 --out benchmarks/results
+
+.venv-sysid/.installed:
+	-$(PYTHON) -m venv .venv-sysid && .venv-sysid/bin/python -m pip install --quiet \
+		--disable-pip-version-check 'mujoco[sysid]' && touch $@
+
 # a peer that cannot be installed is skipped by name
 .venv-%/.installed:
 	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
@@ -74,7 +81,7 @@ docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn out site build dist
+	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn .venv-sysid out site build dist
 
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'

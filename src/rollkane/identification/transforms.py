@@ -204,16 +204,25 @@ class FlatInertia(AbstractInertia):
 
 
 class DiagonalInertia(AbstractInertia):
-    """Three numbers: principal axes along the body's."""
+    """Principal axes along the body's: a number for each axis that it extends along.
 
-    def second_moments(self, z: Float[Array, " 3"]) -> Float[Array, "3 3"]:
+    Attributes:
+        reference: Inertia [kg m^2].
+        extended: Axes along which it has a thickness: the others' second moments, of
+            which no motion tells, stay zero.
+    """
+
+    extended: tuple[int, ...] = eqx.field(static=True)
+
+    def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
         """S [kg m^2]."""
-        return jnp.diag(jnp.exp(z))
+        return jnp.diag(
+            jnp.zeros(3, z.dtype).at[np.array(self.extended)].set(jnp.exp(z))
+        )
 
     def start(self) -> np.ndarray:
-        """Logarithms of second moments, of no less than a flat body's."""
-        diagonal = np.diag(second_moments_of(self.reference))
-        return np.log(np.maximum(diagonal, FLAT * np.max(diagonal)))
+        """Logarithms of second moments."""
+        return np.log(np.diag(second_moments_of(self.reference))[list(self.extended)])
 
     def shown(self, value: Array) -> Array:
         """The moments."""
@@ -332,17 +341,26 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
         if np.any(np.abs(off) > 1e-12 * np.max(np.abs(known))):
             remedy = "leave form out, or start from principal axes along the body's"
             raise FieldError(field, known, "is not diagonal", remedy)
-        return DiagonalInertia(inertia)
+        along = np.diag(second_moments_of(known))
+        _check_possible(field, known, along)
+        thick = np.flatnonzero(along > FLAT * np.max(along))
+        return DiagonalInertia(inertia, tuple(map(int, thick)))
     moments, axes = np.linalg.eigh(second_moments_of(known))
+    _check_possible(field, known, moments)
     if moments[1] <= FLAT * moments[2]:
         remedy = 'keep its ratios: form="scale"'
         raise FieldError(field, known, "is of a body without any width", remedy)
-    if moments[0] < -FLAT * moments[2]:
-        problem = "violates the triangle inequality, which no distribution of mass can"
-        raise FieldError(field, known, problem, "start from a possible body's inertia")
     if moments[0] <= FLAT * moments[2]:
         return FlatInertia(inertia, jnp.asarray(axes[:, 1:], inertia.dtype))
     return FullInertia(inertia)
+
+
+def _check_possible(field: str, inertia: np.ndarray, moments: np.ndarray) -> None:
+    """Refuse second moments below zero."""
+    if np.min(moments) < -FLAT * np.max(moments):
+        problem = "violates the triangle inequality, which no distribution of mass can"
+        remedy = "start from a possible body's inertia"
+        raise FieldError(field, inertia, problem, remedy)
 
 
 def _product(z: Float[Array, " k"], size: int) -> Float[Array, "n n"]:
