@@ -5,7 +5,6 @@ import pytest
 
 import rollkane as rk
 from rollkane.files.scene_files import load_scene
-from rollkane.pictures import plot_fit
 from rollkane.pictures.fit_page import fit_page
 
 COUNT = 21  # samples of each record: their programs are compiled once
@@ -67,7 +66,7 @@ def test_a_quaternion_from_the_rotation_that_is_left():
     angle, unit = 0.3, np.eye(3)
     measured = np.array([[np.cos(angle / 2), *(np.sin(angle / 2) * u)] for u in unit])
     away = 2.0 * np.tan(angle / 2) * unit
-    back = plot_fit._turned_back(5.0 * measured, away)
+    back = rk.Orientation(measured, 0.1).without(away)
     # exact but for rounding of a product of unit quaternions
     np.testing.assert_allclose(back, [[1.0, 0.0, 0.0, 0.0]] * 3, rtol=0, atol=1e-15)
 

@@ -58,6 +58,10 @@ class AbstractChannel(eqx.Module):
         """Measured minus predicted [unit of sigma], shape (T, m)."""
         return self.values - predicted
 
+    def without(self, misfit: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T k"]:
+        """Samples without a misfit: what the sensor would have read."""
+        return np.asarray(self.values) - misfit
+
 
 def samples_of(field: str, values: ArrayLike, columns: int | None) -> np.ndarray:
     """Samples as an array of two axes.

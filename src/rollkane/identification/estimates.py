@@ -127,10 +127,9 @@ class Estimates:
         """
         found = [
             {
-                name: np.asarray(c.values) - _unscaled(c, misfits[name])
+                name: c.without(misfits[name] * np.asarray(c.sigma))
                 for g in groups
                 for name, c in g.channels.items()
-                if c.noise_columns() == c.values.shape[1]
             }
             for groups, misfits in zip(
                 self.problem.groups,
@@ -139,10 +138,6 @@ class Estimates:
             )
         ]
         return found if len(found) > 1 else found[0]
-
-
-def _unscaled(channel: Any, misfit: np.ndarray) -> np.ndarray:
-    return misfit * np.asarray(channel.sigma)
 
 
 def expected_errors(

@@ -57,8 +57,9 @@ def _of_entry(
     errors = np.ravel(standard_errors_of(entry, z, known, unseen))
     low, high = value.ravel().copy(), value.ravel().copy()
     done: dict[tuple[float, ...], int] = {}
+    largest = np.abs(slope).max()
     for k, error in enumerate(errors):
-        row = tuple(cast("list[float]", np.round(slope[k], 12).tolist()))
+        row = tuple(cast("list[float]", np.round(slope[k] / largest, 9).tolist()))
         same = done.setdefault(row, k)  # of a symmetric array
         if same != k:
             low[k], high[k] = low[same], high[same]

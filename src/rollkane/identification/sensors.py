@@ -147,6 +147,15 @@ class Orientation(AbstractChannel):
         along = jnp.where(apart[:1] < 0.0, -1.0, 1.0)
         return (2.0 * along * apart[1:]).T
 
+    def without(self, misfit: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 4"]:
+        """Unit quaternions from which the misfit's rotation leads to the samples."""
+        measured = np.asarray(self.values)
+        size = np.linalg.norm(measured, axis=1, keepdims=True)
+        back = np.concatenate([np.ones_like(size), -0.5 * misfit], axis=1)
+        back /= np.linalg.norm(back, axis=1, keepdims=True)
+        found = multiply(jnp.asarray(back.T), jnp.asarray((measured / size).T))
+        return np.asarray(found).T
+
 
 class ContactPath(AbstractSensor):
     """Contact point on the base, BASE axes [m].

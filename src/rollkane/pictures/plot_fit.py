@@ -4,12 +4,10 @@ from collections.abc import Iterator
 from os import PathLike
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..files.atomic_file import write_whole
-from ..geometry.rotations import multiply
 from ..identification import body_sensors, sensors
 from ..identification.channels import AbstractChannel
 from ..identification.estimates import Estimates
@@ -134,21 +132,7 @@ def _samples(fit: Estimates, number: int) -> Iterator[Samples]:
     for name in problem.records[number].channels:
         channel, time = held[name]
         left = misfits[name] * np.asarray(channel.sigma)
-        if isinstance(channel, sensors.Orientation):
-            predicted = _turned_back(np.asarray(channel.values), left)
-        else:
-            predicted = np.asarray(channel.values) - left
-        yield Samples(name, channel, time, predicted, misfits[name])
-
-
-def _turned_back(
-    measured: Float[np.ndarray, "T 4"], away: Float[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "T 4"]:
-    """Quaternions from which ``away`` [rad], as 2 tan of half the angle, leads."""
-    size = np.linalg.norm(measured, axis=1, keepdims=True)
-    back = np.concatenate([np.ones_like(size), -0.5 * away], axis=1)
-    back /= np.linalg.norm(back, axis=1, keepdims=True)
-    return np.asarray(multiply(jnp.asarray(back.T), jnp.asarray(measured / size).T)).T
+        yield Samples(name, channel, time, channel.without(left), misfits[name])
 
 
 def _draw(upper: "Axes", lower: "Axes", samples: Samples) -> None:
