@@ -52,7 +52,7 @@ def _of_entry(
     value = np.asarray(entry.transform.value(jnp.asarray(z[entry.where])))
     slope = uncertainty.slope(entry, z)
     at = problem.evaluate(z)
-    known = uncertainty.coordinate_covariance(at, problem.layout, z)
+    known = uncertainty.coordinate_covariance(at, problem.layout, z, bounded=False)
     unseen = uncertainty.unseen_directions(at, problem.layout)
     errors = np.ravel(standard_errors_of(entry, z, known, unseen))
     low, high = value.ravel().copy(), value.ravel().copy()
@@ -66,8 +66,12 @@ def _of_entry(
         elif np.isinf(error):
             low[k], high[k] = -np.inf, np.inf
         elif error > 0.0:
-            low[k] = _end(problem, entry, k, z, -error, rise)
-            high[k] = _end(problem, entry, k, z, error, rise)
+            # a step by more than the number itself leaves what is known of it
+            size = float(np.abs(value).max()) or error
+            step = min(error, size)
+            farthest = _FARTHEST * error / step
+            low[k] = _end(problem, entry, k, z, -step, rise, farthest)
+            high[k] = _end(problem, entry, k, z, step, rise, farthest)
     return low.reshape(value.shape), high.reshape(value.shape)
 
 
@@ -78,6 +82,7 @@ def _end(
     z: np.ndarray,
     error: float,
     rise: float,
+    farthest: float,
 ) -> float:
     """Where the profile has risen, on the side of the error's sign."""
     layout = problem.layout
@@ -106,10 +111,12 @@ def _end(
         if abs(risen - rise) < _CLOSE * rise:
             return reached
         if risen < rise:
-            if abs(taken - steps) > 0.01 * steps:  # a bound keeps it
+            own = point[entry.where]
+            held = np.any((own <= entry.lower) | (own >= entry.upper))
+            if held and abs(taken - steps) > 0.01 * steps:
                 return reached
-            inner = taken
-            if inner > _FARTHEST:
+            inner = max(inner, taken)
+            if inner > farthest:
                 return float(np.copysign(np.inf, error))
         else:
             outer = taken

@@ -56,12 +56,15 @@ def spectrum(
     return Spectrum(values, directions, scale, rounding)
 
 
-def coordinate_covariance(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
+def coordinate_covariance(
+    at: Evaluation, layout: Layout, z: np.ndarray, *, bounded: bool = True
+) -> np.ndarray:
     """Covariance of the coordinates, ``(J^T J)^-1`` of what is seen, shape (P, P).
 
-    Coordinates on a bound that the descent leads out of are known: no variance.
+    Coordinates on a bound that the descent leads out of are known: no variance, unless
+    bounds are left out.
     """
-    inside = ~active(at, layout, z)
+    inside = ~(active(at, layout, z) & bounded)
     found = np.zeros((z.size, z.size))
     if inside.any():
         parts = spectrum(at.jacobian[:, inside], layout.scale[inside], at.rounding)

@@ -1,0 +1,80 @@
+"""Derivatives of misfits by every coordinate, against differences of misfits.
+
+Differences of steps h and h / 2, extrapolated: the rest is of order h^4, 1e-12 of the
+fifth derivative over its size for h = 1e-3 of a coordinate's size, and the rounding of
+runs at rtol 1e-11, 1e-11 / 1e-3, of the misfits' size: 1e-6 of the largest derivative.
+"""
+
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.files.scene_files import builtin_scenes, load_scene
+from rollkane.identification.fitting import problem_of
+from rollkane.identification.residuals import Options
+
+DIFFERS = 1e-6
+STEP = 1e-3
+TIMES = np.linspace(0.02, 0.4, 20)
+
+
+def differences(problem, z):
+    """Derivatives by extrapolated differences, relative to the coordinates' sizes."""
+    misfit = lambda z: problem.evaluate(z).residual
+    rows = []
+    for way in np.diag(problem.layout.scale):
+        slope = lambda h, way=way: (misfit(z + h * way) - misfit(z - h * way)) / (2 * h)
+        rows.append((4.0 * slope(0.5 * STEP) - slope(STEP)) / 3.0)
+    return np.stack(rows, axis=1)
+
+
+def agree(problem):
+    z = problem.layout.start
+    at = problem.evaluate(z)
+    assert at.failed == 0
+    found = at.jacobian * problem.layout.scale
+    expected = differences(problem, z)
+    size = np.abs(expected).max()
+    assert size > 0.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=DIFFERS * size)
+    return found
+
+
+def channels(count, delay):
+    rows = np.zeros((count, 3))
+    return {
+        "gyro": rk.Gyro(rows, 1.0, misalignment=(0.01, 0.02, -0.01), delay=delay),
+        "acceleration": rk.Accelerometer(rows, 10.0, at=(0.01, 0.0, 0.02)),
+        "marker": rk.Marker(rows, 0.1, at=(0.01, 0.02, 0.0)),
+        "force": rk.NormalForce(rows[:, 0], 10.0),
+    }
+
+
+def problem_for(scene, start, paths, delay=0.0, modes=None):
+    record = rk.Record(TIMES, channels(len(TIMES), delay), start_time=0.0)
+    bounds = {"gyro.delay": (0.0, 0.015)}
+    free = tuple(rk.Free(path, bounds=bounds.get(path)) for path in paths)
+    return problem_of(scene, [start], [record], free, modes, Options(rtol=1e-11))
+
+
+def test_through_delays_and_sensors():
+    inertia = 1e-4 * np.array([[4.0, 0.2, 0.1], [0.2, 6.0, -0.3], [0.1, -0.3, 7.0]])
+    scene = rk.Scene(rk.Body(0.5, inertia, rk.Ellipsoid((0.06, 0.05, 0.04))))
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (8.0, 3.0, 2.0), (0.0, 0.0, 0.0))
+    own = "gyro.delay", "gyro.gain", "gyro.misalignment", "marker.at"
+    paths = "body.mass", "body.surface.semi_axes", *own
+    found = agree(problem_for(scene, start, paths, delay=0.01))
+    assert (np.abs(found).max(axis=0) > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", builtin_scenes())
+def test_of_every_scene(name):
+    file = load_scene(name)
+    paths = [
+        "body.mass",
+        "body.inertia",
+        "body.center_of_mass",
+        "start.angular_velocity",
+    ]
+    agree(problem_for(file.scene, file.start, paths))
