@@ -138,8 +138,8 @@ def judged(found, truth):
         "rank": rank,
         "rise": rise,
         "distance": distance,
-        "in region": rise < limit,
-        "in ellipsoid": distance < limit,
+        "in region": bool(rise < limit),
+        "in ellipsoid": bool(distance < limit),
         "in intervals": int(within.sum()),
         "intervals": int(within.size),
     }
@@ -156,7 +156,7 @@ def one_fit(case, seed, offset, strategy="auto"):
         "chi2 / dof": found.chi2 / found.degrees_of_freedom,
         "rollouts": found.rollouts,
         "seconds": seconds,
-        "converged": found.converged,
+        "converged": bool(found.converged),
     } | judged(found, case.truth(record))
 
 
@@ -251,7 +251,8 @@ def one_scipy(case, seed, offset):
     seconds = time.perf_counter() - began
     freedom = case.read.size - layout.size
     row = {"seed": seed, "chi2 / dof": 2.0 * float(found.cost) / freedom}
-    return row | {"rollouts": runs, "seconds": seconds, "converged": found.status > 0}
+    row |= {"rollouts": runs, "seconds": seconds}
+    return row | {"converged": bool(found.status > 0)}
 
 
 def scipy(seeds):

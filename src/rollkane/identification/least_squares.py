@@ -155,7 +155,7 @@ def minimize(
             step = _step(r, J, *box, damping, scale)
         promised = 0.5 * (r @ r - np.sum((r + J @ step) ** 2))
         if 2.0 * promised <= _LEAST_FALL + _LEAST_SHARE * cost:
-            converged = damping <= 1.0  # else it is the damping that allows no step
+            converged = bool(damping <= 1.0)  # else the damping allows no step
             break
         # what reaches a side is on it, not beside it by a rounding
         ahead = np.where(

@@ -1,0 +1,18 @@
+"""What a search returns can be written as JSON."""
+
+import json
+
+import numpy as np
+
+from rollkane.identification.least_squares import Evaluation, minimize
+
+
+def test_convergence_is_a_plain_truth_value():
+    """After accepted steps, too, whose damping is a NumPy number."""
+    slope = np.array([[1.0], [2.0]])
+    away = np.array([1.0, -1.0])
+    evaluate = lambda z: Evaluation(slope @ np.sinh(z) - away, slope * np.cosh(z), 0)
+    one = np.ones(1)
+    found = minimize(evaluate, 3.0 * one, -np.inf * one, np.inf * one, one)
+    assert len(found.path) > 1
+    assert json.dumps(found.converged) == "true"
