@@ -211,3 +211,20 @@ def test_profiles_of_a_curved_case():
         profile += low <= moment <= high
     assert 90 <= profile <= 99
     assert linear < 90
+
+
+def test_profiles_end_at_the_bounds():
+    """A mean of two samples far below the bound's width: the profile is cut there."""
+    body = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+    scene, level = rk.Scene(body), (1.0, 0.0, 0.0, 0.0)
+    start = rk.place(scene, level, (0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+    values = np.array([[0.0, 0.0, 4.01], [0.0, 0.0, 3.99]])
+    record = rk.Record([0.0, 0.1], {"gyro": rk.Gyro(values, 0.1)})
+    free = rk.Free("start.angular_velocity", bounds=(-0.05, 4.05))
+    found = rk.fit(scene, start, record, free)
+    low, high = found.interval("start.angular_velocity", method="profile")
+    # a ball's angular velocity stays: sigma / sqrt(2) = 0.07 at 1.96 is beyond 0.05
+    np.testing.assert_allclose(low[:2], -0.05, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(high[2], 4.05, rtol=0, atol=1e-12)
+    # the profile's own tolerance, 1e-3 of the distance
+    np.testing.assert_allclose(low[2], 4.0 - 1.96 * 0.1 / np.sqrt(2.0), atol=2e-4)

@@ -154,7 +154,8 @@ def minimize(
             damping *= 3.0
             step = _step(r, J, *box, damping, scale)
         promised = 0.5 * (r @ r - np.sum((r + J @ step) ** 2))
-        if 2.0 * promised <= _LEAST_FALL + _LEAST_SHARE * cost:
+        share = max(_LEAST_SHARE, 10.0 * float(np.finfo(at.residual.dtype).eps))
+        if 2.0 * promised <= _LEAST_FALL + share * cost:
             converged = bool(damping <= 1.0)  # else the damping allows no step
             break
         # what reaches a side is on it, not beside it by a rounding

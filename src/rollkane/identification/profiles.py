@@ -12,6 +12,7 @@ from .estimates import Estimates, standard_errors_of
 from .experiments import Problem
 from .layout import Coordinates
 from .least_squares import Evaluation, minimize
+from .transforms import Plain, Positive
 
 _HELD = 1e-3  # of a standard error: how firmly a profile holds its number
 _FARTHEST = 30.0  # standard errors: beyond, an interval has no end
@@ -72,7 +73,18 @@ def _of_entry(
             farthest = _FARTHEST * error / step
             low[k] = _end(problem, entry, k, z, -step, rise, farthest)
             high[k] = _end(problem, entry, k, z, step, rise, farthest)
+    least, most = _allowed(entry)
+    low, high = np.maximum(low, least), np.minimum(high, most)
     return low.reshape(value.shape), high.reshape(value.shape)
+
+
+def _allowed(entry: Coordinates) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of a parameter's entries; none of those that have other coordinates."""
+    if not isinstance(entry.transform, (Plain, Positive)):
+        return np.array(-np.inf), np.array(np.inf)
+    ends = (entry.transform.value(jnp.asarray(z)) for z in (entry.lower, entry.upper))
+    least, most = (np.ravel(end) for end in ends)
+    return least, most
 
 
 def _end(
