@@ -369,11 +369,14 @@ def sysid(seeds):
         yield {"peer": peer} | row | {"fits": rows}
 
 
+BELOW = (0.5, -0.14)  # legends, in the panel's axes
+
+
 def draw(tables, path):
     """Coverage, rollouts beside SciPy's, and ends of searches by both strategies."""
     from rollkane.pictures.plot_style import dress, new_figure, png
 
-    figure = new_figure((13.5, 4.2))
+    figure = new_figure((13.5, 4.8))
     shown = {"coverage": draw_coverage, "scipy": draw_scipy, "horizons": draw_horizons}
     if not all(part in tables for part in shown):
         return
@@ -408,7 +411,7 @@ def draw_coverage(panel, tables):
     panel.invert_yaxis()
     panel.set_xlabel("share that holds the truth [1]")
     panel.set_title("joint 95 % regions", fontsize=10)
-    panel.legend(fontsize=8, loc="lower left")
+    panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=BELOW)
 
 
 def draw_scipy(panel, tables):
@@ -433,8 +436,8 @@ def draw_scipy(panel, tables):
     panel.set_yticks(range(len(names)), names)
     panel.invert_yaxis()
     panel.set_xlabel("rollouts of a fit (median)")
-    panel.set_title("and how many end at the global minimum", fontsize=10)
-    panel.legend(fontsize=8, loc="lower right")
+    panel.set_title("rollouts, and ends at the global minimum", fontsize=10)
+    panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=BELOW)
 
 
 def draw_horizons(panel, tables):
@@ -450,7 +453,8 @@ def draw_horizons(panel, tables):
     panel.set_xlabel("guesses, by where they end")
     panel.set_ylabel("chi2 / degrees of freedom [1]")
     panel.set_title("20 s of a rattleback, guesses 30 % off", fontsize=10)
-    panel.legend(fontsize=8)
+    panel.xaxis.get_major_locator().set_params(integer=True)
+    panel.legend(fontsize=8, loc="upper center", bbox_to_anchor=BELOW)
 
 
 PARTS = {"coverage": coverage, "scipy": scipy, "sysid": sysid, "horizons": horizons}
