@@ -5,6 +5,7 @@ Limits as in ``test_identification.py``: four standard errors.
 
 import numpy as np
 import pytest
+import scipy.stats
 
 import rollkane as rk
 from rollkane.files.scene_files import load_scene
@@ -228,3 +229,25 @@ def test_profiles_end_at_the_bounds():
     np.testing.assert_allclose(high[2], 4.05, rtol=0, atol=1e-12)
     # the profile's own tolerance, 1e-3 of the distance
     np.testing.assert_allclose(low[2], 4.0 - 1.96 * 0.1 / np.sqrt(2.0), atol=2e-4)
+
+
+def test_the_joint_region_is_where_chi2_has_risen():
+    """Of three means: 7.81 deviations squared at 95 %, 6.25 at 90 %."""
+    body = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+    scene, level = rk.Scene(body), (1.0, 0.0, 0.0, 0.0)
+    start = rk.place(scene, level, (0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+    values = np.array([[0.0, 0.0, 4.01], [0.0, 0.0, 3.99]])
+    record = rk.Record([0.0, 0.1], {"gyro": rk.Gyro(values, 0.1)})
+    path = "start.angular_velocity"
+    found = rk.fit(scene, start, record, rk.Free(path))
+    deviation = 0.1 / np.sqrt(2.0)
+    away = np.ones(3) / np.sqrt(3.0)  # along which the distance is its length
+    for probability in (0.9, 0.95):
+        edge = np.sqrt(scipy.stats.chi2.ppf(probability, 3)) * deviation
+        for share, inside in ((0.999, True), (1.001, False)):
+            there = found.estimates[path] + share * edge * away
+            assert found.contains({path: there}, probability) is inside
+    with pytest.raises(rk.FieldError, match="do not fit"):
+        found.contains({path: np.zeros(2)})
+    with pytest.raises(rk.FieldError, match="out of range"):
+        found.contains({path: np.zeros(3)}, 1.5)

@@ -1,12 +1,15 @@
 """The result of a fit: what it found, intervals, a report."""
 
 import dataclasses
+from collections.abc import Mapping
 from os import PathLike
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..validation.checks import FieldError
+from . import uncertainty
 from .estimates import Estimates
 from .profiles import linear_interval, profile_interval
 from .report import text_report
@@ -77,6 +80,44 @@ class Fit(Estimates):
             return profile_interval(self, path, level)
         remedy = 'use "linear" or "profile"'
         raise FieldError("Fit.interval.method", method, "is not known", remedy)
+
+    def contains(self, values: Mapping[str, ArrayLike], level: float = 0.95) -> bool:
+        """Whether values of all parameters together lie in their confidence region.
+
+        Where chi2 has risen by the level's quantile of chi-square, at most: right where
+        the region bends, too, unlike the ellipsoid of ``covariance``.
+
+        Args:
+            values: By path, all that were fitted, each in its shape [its unit].
+            level: Probability of the region.
+
+        Raises:
+            FieldError: other paths or shapes, a level out of range, a robust loss.
+        """
+        if not 0.0 < level < 1.0:
+            remedy = "give a probability, for example 0.95"
+            raise FieldError("Fit.contains.level", level, "is out of range", remedy)
+        if self.loss != "linear":
+            problem = f"is of chi2, not of the loss {self.loss!r}"
+            remedy = 'fit with loss="linear"'
+            raise FieldError("Fit.contains.values", "...", problem, remedy)
+        shapes = {path: known.shape for path, known in self.estimates.items()}
+        given = {path: np.shape(np.asarray(value)) for path, value in values.items()}
+        if given != shapes:
+            remedy = f"give one for each of {shapes}"
+            raise FieldError("Fit.contains.values", given, "do not fit", remedy)
+        layout, z = self.problem.layout, self.search.minimum.z
+        there = z.copy()
+        for entry in layout.entries:
+            value = np.asarray(values[entry.free.path], float)
+            own = value if entry.record is None else value[entry.record]
+            there[entry.where] = uncertainty.coordinates_of(entry, own, z)
+        if not np.isfinite(there).all():
+            return False
+        at = self.problem.evaluate(there)
+        seen = layout.size - len(uncertainty.unseen_directions(at, layout))
+        risen = float(np.sum(at.residual**2)) - self.chi2
+        return at.usable and risen <= uncertainty.rise_of(level, max(seen, 1))
 
     def report(self) -> str:
         """The fit in words and a table."""

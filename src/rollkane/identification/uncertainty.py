@@ -6,6 +6,7 @@ from typing import NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import gammainc
 from jaxtyping import Array
 
 from .layout import Coordinates, Layout
@@ -119,3 +120,42 @@ def named_covariance(layout: Layout, z: np.ndarray, known: np.ndarray) -> np.nda
         rows[first : first + own.shape[0], entry.where] = own
         first += own.shape[0]
     return rows @ known @ rows.T
+
+
+def rise_of(level: float, freedom: int) -> float:
+    """Quantile of chi-square: what a joint region's chi2 rises by at most.
+
+    By bisection of the incomplete gamma function, which grows in its argument.
+    """
+    low, high = 0.0, freedom + 10.0
+
+    def below(x: float) -> bool:
+        return float(gammainc(0.5 * freedom, 0.5 * x)) < level
+
+    while below(high):
+        low, high = high, 2.0 * high
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if below(middle) else (low, middle)
+    return high
+
+
+def coordinates_of(entry: Coordinates, value: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Coordinates of a value of a parameter, by Newton's method from those at z.
+
+    NaN where it has none (a negative length).
+    """
+    own = z.copy()
+    goal = np.ravel(np.asarray(value, float))
+    for _ in range(50):
+        away = goal - entry.value(own).ravel()
+        step: np.ndarray = np.linalg.pinv(slope(entry, own)) @ away
+        own[entry.where] += step
+        if np.abs(step).max() <= 1e-13 * (1.0 + np.abs(own[entry.where]).max()):
+            break
+    found: np.ndarray = own[entry.where]
+    away = np.abs(goal - entry.value(own).ravel())
+    # as near as the last step of Newton's method allows; a value apart stays apart
+    if not np.all(away <= 1e-9 * np.abs(goal).max()):
+        return np.full_like(found, np.nan)
+    return found
