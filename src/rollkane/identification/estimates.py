@@ -12,7 +12,7 @@ from . import uncertainty
 from .experiments import Problem
 from .horizons import Search, Stage
 from .layout import Coordinates, Layout
-from .least_squares import Evaluation
+from .least_squares import Evaluation, loss_of, variance_factor
 from .unseen import described
 
 
@@ -25,7 +25,8 @@ class Estimates:
             records' own ones stacked along a first axis.
         standard_errors: Likewise; infinite for what the records do not show.
         names: Of the numbers that covariance and correlation are of.
-        covariance: From ``J^T J``, of what is seen, shape (n, n).
+        covariance: From ``J^T J``, of what is seen, shape (n, n); of a robust loss
+            times what the loss does to the variance.
         correlation: Shape (n, n).
         chi2: Sum of squared misfits over deviations, priors included.
         degrees_of_freedom: Samples (and priors) minus coordinates that are seen.
@@ -77,6 +78,8 @@ class Estimates:
         layout, found = problem.layout, best.minimum
         z, at = found.z, found.at
         known = uncertainty.coordinate_covariance(at, layout, z)
+        if loss != "linear":
+            known = known * variance_factor(at.residual, loss_of(loss))
         covariance = uncertainty.named_covariance(layout, z, known)
         unseen = uncertainty.unseen_directions(at, layout)
         spread = np.sqrt(np.diag(covariance))
@@ -88,7 +91,9 @@ class Estimates:
         every = lambda parts: list(parts) if several else parts[0]
         return cls(
             estimates=layout.by_path(lambda e: e.value(z)),
-            standard_errors=expected_errors(problem, at, z),
+            standard_errors=layout.by_path(
+                lambda e: standard_errors_of(e, z, known, unseen)
+            ),
             names=uncertainty.names_of(layout),
             covariance=covariance,
             correlation=covariance / np.outer(apart, apart),

@@ -114,6 +114,27 @@ def loss_of(name: str) -> Loss:
     return LOSSES[name]
 
 
+def variance_factor(residual: np.ndarray, loss: Loss) -> float:
+    """What a loss does to the variance of the estimates; 1 of least squares.
+
+    Huber's: mean of psi^2 over the square of the mean of psi', psi(r) = r rho'(r^2).
+
+    Args:
+        residual: Over their deviations, shape (N,); zeros are no samples.
+        loss: Of their squares.
+    """
+    known = residual[residual != 0.0]
+    if not known.size:
+        return 1.0
+
+    def psi(r: np.ndarray) -> np.ndarray:
+        return r * loss.weight(r * r)
+
+    step = 1e-4  # by differences: 1e-8 of the slope of numbers of about one
+    slope = float(np.mean(psi(known + step) - psi(known - step))) / (2.0 * step)
+    return float(np.mean(psi(known) ** 2)) / slope**2
+
+
 def minimize(
     evaluate: Callable[[np.ndarray], Evaluation],
     start: np.ndarray,
