@@ -75,10 +75,14 @@ class Problem:
     def with_noise_of(self, z: np.ndarray) -> bool:
         """Take the deviations of channels without sigma from the misfits at z.
 
+        What the coordinates took out of the misfits is put back, evenly.
+
         Returns:
             Whether any of them changed by more than a hundredth.
         """
         changed = False
+        samples = self.samples()
+        taken = samples / max(samples - self.layout.size, 1)
         for record, per_channel in enumerate(self.channel_misfits(z)):
             for name, misfit in per_channel.items():
                 if name in self.deviations[record]:
@@ -86,7 +90,7 @@ class Problem:
                     sampled = np.isfinite(misfit)
                     counts = np.maximum(sampled.sum(axis=0), 1)
                     mean = np.sum(np.where(sampled, misfit, 0.0) ** 2, axis=0) / counts
-                    new = old * np.sqrt(mean)
+                    new = old * np.sqrt(taken * mean)
                     # a record without noise: not below the runs' own accuracy
                     new = np.maximum(
                         new, 1e-9 * _size(self.records[record].channels[name].values)
