@@ -54,8 +54,7 @@ class AbstractBodySensor(AbstractSensor):
         Raises:
             FieldError: shapes that do not fit, a sigma that is not positive.
         """
-        self._keep(values, sigma, delay)
-        self._calibrate(bias, gain)
+        super().__init__(values, sigma, bias=bias, gain=gain, delay=delay)
         meaning = "three angles in rad"
         name = f"{type(self).__name__}.misalignment"
         self.misalignment = real(name, misalignment, (3,), meaning)

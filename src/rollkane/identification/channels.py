@@ -4,6 +4,7 @@ A sensor reads ``gain M(misalignment) x(t - delay) + bias`` of what it measures,
 noise is white, with standard deviation ``sigma``; sigma left out is estimated by a fit.
 """
 
+import abc
 from collections.abc import Callable
 
 import equinox as eqx
@@ -50,9 +51,9 @@ class AbstractChannel(eqx.Module):
         """How many numbers of a sample have noise of their own."""
         return self.values.shape[1]
 
+    @abc.abstractmethod
     def observed(self, scene: Scene, t: Array, state: AnyState) -> Float[Array, " k"]:
         """What it measures, of one state."""
-        raise NotImplementedError
 
     def misfit(self, predicted: Float[Array, "T k"]) -> Float[Array, "T m"]:
         """Measured minus predicted [unit of sigma], shape (T, m)."""
@@ -112,6 +113,30 @@ class AbstractSensor(AbstractChannel):
 
     bias: Float[Array, " k"]
     gain: Float[Array, " k"]
+
+    def __init__(
+        self,
+        values: ArrayLike,
+        sigma: ArrayLike | None = None,
+        *,
+        bias: ArrayLike = 0.0,
+        gain: ArrayLike = 1.0,
+        delay: ArrayLike = 0.0,
+    ):
+        """Make a channel.
+
+        Args:
+            values: Samples [its unit], shape (T, k); NaN where one is missing.
+            sigma: Standard deviation of the noise, one or k; None: estimated.
+            bias: Of the sensor, or offset of the axes that it is measured on, one or k.
+            gain: Of the sensor, or scale of these axes [1], one or k.
+            delay: [s].
+
+        Raises:
+            FieldError: shapes that do not fit, a sigma that is not positive.
+        """
+        self._keep(values, sigma, delay)
+        self._calibrate(bias, gain)
 
     def _calibrate(self, bias: ArrayLike, gain: ArrayLike) -> None:
         name, size = type(self).__name__, self.values.shape[1]

@@ -18,35 +18,7 @@ from .unseen import described
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates from records, and what is known about them.
-
-    Attributes:
-        estimates: By path, each in the parameter's shape [its unit]; of several
-            records' own ones stacked along a first axis.
-        standard_errors: Likewise; infinite for what the records do not show.
-        names: Of the numbers that covariance and correlation are of.
-        covariance: From ``J^T J``, of what is seen, shape (n, n); of a robust loss
-            times what the loss does to the variance.
-        correlation: Shape (n, n).
-        chi2: Sum of squared misfits over deviations, priors included.
-        degrees_of_freedom: Samples (and priors) minus coordinates that are seen.
-        residuals: Misfits over deviations by channel (of several records, a list), NaN
-            where no sample is.
-        sigma: Standard deviations by channel [unit of its values], estimated where none
-            was given.
-        unseen: What the records cannot tell, in words.
-        rollouts: Runs that were made, each with its derivatives.
-        failed: How many tried points had runs that did not reach their end.
-        converged: Whether no step promised more.
-        stages: Horizons that were fitted.
-        minima: Distinct minima of several starts: chi2 and how many ended there.
-        scene: The model with the estimates.
-        start: The start with them; of several records, a list.
-        record: The record or records with estimated channels.
-        loss: Of the misfits.
-        problem: The least-squares problem, for more of it.
-        search: How it was solved.
-    """
+    """What a fit found; :class:`rollkane.Fit` says what each field is."""
 
     estimates: dict[str, np.ndarray]
     standard_errors: dict[str, np.ndarray]
@@ -162,10 +134,7 @@ def standard_errors_of(
     rows = uncertainty.slope(entry, z)
     own = known[entry.where, entry.where]
     errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", rows, own, rows), 0.0))
-    if unseen.size:
-        away = np.abs(rows @ unseen[:, entry.where].T).max(axis=1)
-        size = np.abs(rows).max(initial=0.0) * np.abs(unseen).max()
-        errors = np.where(away > 1e-6 * size, np.inf, errors)
+    errors[uncertainty.hidden(rows, unseen, entry.where)] = np.inf
     return errors.reshape(entry.value(z).shape)
 
 
@@ -183,6 +152,7 @@ def _minima(searches: list[Search]) -> tuple[tuple[float, int], ...]:
     found: list[tuple[float, int]] = []
     for search in sorted(searches, key=lambda s: s.minimum.cost):
         chi2 = 2.0 * search.minimum.cost
+        # a tenth of a standard deviation, and the accuracy of runs at their tolerance
         if found and chi2 - found[-1][0] < 1e-2 + 1e-6 * abs(chi2):
             found[-1] = found[-1][0], found[-1][1] + 1
         else:

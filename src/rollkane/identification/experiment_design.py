@@ -163,7 +163,8 @@ def _score(plan: _Plan, problem: Problem) -> float:
     if at.failed or not at.usable:
         return -np.inf
     unseen = uncertainty.unseen_directions(at, layout)
-    if unseen.size and np.any(np.abs(unseen[:, plan.chosen(layout)]) > 1e-6):
+    numbers = np.eye(layout.size), unseen, slice(None)
+    if uncertainty.hidden(*numbers)[plan.chosen(layout)].any():
         return -np.inf
     known = uncertainty.coordinate_covariance(at, layout, layout.start)
     own = np.ix_(plan.chosen(layout), plan.chosen(layout))
@@ -185,7 +186,7 @@ def _ascended(
         field, remedy = "design_experiment.vary", "vary others"
         raise FieldError(field, sorted(overlap), "are to be found", remedy)
     slope_of = _gradient(plan, model, variables)
-    d, length = variables.start, 0.1
+    d, length = variables.start, 0.1  # [of the variables' size]; it doubles or halves
 
     def moved(d: np.ndarray) -> tuple[Scene, State]:
         found = variables.model(0, d)

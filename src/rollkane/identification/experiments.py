@@ -91,7 +91,7 @@ class Problem:
                     counts = np.maximum(sampled.sum(axis=0), 1)
                     mean = np.sum(np.where(sampled, misfit, 0.0) ** 2, axis=0) / counts
                     new = old * np.sqrt(taken * mean)
-                    # a record without noise: not below the runs' own accuracy
+                    # a record without noise: not below the runs' own accuracy, 1e-9
                     new = np.maximum(
                         new, 1e-9 * _size(self.records[record].channels[name].values)
                     )

@@ -1,7 +1,7 @@
 """Fit: parameters of a scene from records of its motion."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -75,12 +75,8 @@ def fit(
     Raises:
         FieldError: records, parameters, bounds or priors that do not fit each other.
     """
-    states = list(start) if isinstance(start, (list, tuple)) else [start]
-    records = list(record) if isinstance(record, (list, tuple)) else [record]
-    chosen = tuple(free) if isinstance(free, (list, tuple)) else (free,)
-    problem = problem_of(
-        scene, states, records, chosen, modes, Options(rtol, atol, max_steps, method)
-    )
+    options = Options(rtol, atol, max_steps, method)
+    problem = problem_of(scene, start, record, free, modes, options)
     known = loss_of(loss)
     if strategy not in STRATEGIES:
         remedy = f"use one of {STRATEGIES}"
@@ -111,17 +107,18 @@ def fit(
 
 def problem_of(
     scene: object,
-    starts: list[Any],
-    records: list[Any],
-    free: tuple[Any, ...],
+    start: Any,
+    record: Any,
+    free: Any,
     modes: Modes | None,
     options: Options,
 ) -> Problem:
-    """The records as one least-squares problem, checked.
+    """The records as one least-squares problem, checked; each may be one or several.
 
     Raises:
         FieldError: something that does not fit.
     """
+    starts, records, chosen = _listed(start), _listed(record), tuple(_listed(free))
     if not isinstance(scene, Scene):
         raise FieldError("fit.scene", scene, "must be a Scene", "give a Scene")
     for one in records:
@@ -139,13 +136,19 @@ def problem_of(
         if not isinstance(one, State):
             remedy = "make it with rollkane.place"
             raise FieldError("fit.start", one, "must be a State", remedy)
-    _check_free(free)
-    bounded = with_delay_bounds(free, records)
+    _check_free(chosen)
+    bounded = with_delay_bounds(chosen, records)
     problem = Problem(scene, starts, records, bounded, modes, options)
     for record, groups in zip(records, problem.groups, strict=True):
         latest = [_latest(group, bounded) for group in groups]
         check_span(scene, np.array([record.start_time, *latest]))
     return problem
+
+
+def _listed(given: Any) -> list[Any]:
+    return (
+        list(cast("list[Any]", given)) if isinstance(given, (list, tuple)) else [given]
+    )
 
 
 def _check_free(free: tuple[object, ...]) -> None:

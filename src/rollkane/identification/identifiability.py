@@ -92,11 +92,8 @@ def identifiability(
     Raises:
         FieldError: records or parameters that do not fit each other.
     """
-    states = list(start) if isinstance(start, (list, tuple)) else [start]
-    records = list(record) if isinstance(record, (list, tuple)) else [record]
-    chosen = tuple(free) if isinstance(free, (list, tuple)) else (free,)
     options = Options(rtol, None, None, method)
-    problem = problem_of(scene, states, records, chosen, modes, options)
+    problem = problem_of(scene, start, record, free, modes, options)
     layout = problem.layout
     z = layout.start
     at = problem.evaluate(z)

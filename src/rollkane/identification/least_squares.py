@@ -188,7 +188,7 @@ def minimize(
         failed += tried.failed > 0 or not tried.usable
         found = _cost(tried, loss)
         gain = (cost - found) / promised
-        if gain > 1e-4:
+        if gain > 1e-4:  # Moré's: any fall that is not rounding of the promise
             z, at, cost = ahead, tried, found
             path.append(z)
             damping *= max(1.0 / 9.0, 1.0 - (2.0 * min(gain, 1.0) - 1.0) ** 3)

@@ -68,14 +68,11 @@ def rows(fit: Estimates) -> list[Row]:
     for entry in layout.entries:
         values = entry.shown(z)
         slope = uncertainty.shown_slope(entry, z)
-        for k, (label, value) in enumerate(
-            zip(entry.transform.labels(), values, strict=True)
-        ):
+        hidden = uncertainty.hidden(slope, unseen, entry.where)
+        labels = entry.transform.labels()
+        for label, value, is_hidden in zip(labels, values, hidden, strict=True):
             error, note = float(next(errors)), ""
-            hidden = unseen.size and np.any(
-                np.abs(unseen[:, entry.where] @ slope[k]) > 1e-6 * np.abs(slope).max()
-            )
-            if hidden:
+            if is_hidden:
                 error, note = np.inf, "not seen"
             elif held[entry.where].all():
                 note = "on bound"

@@ -46,8 +46,7 @@ class _AtPoint(AbstractSensor):
         Raises:
             FieldError: shapes that do not fit, a sigma that is not positive.
         """
-        self._keep(values, sigma, delay)
-        self._calibrate(bias, gain)
+        super().__init__(values, sigma, bias=bias, gain=gain, delay=delay)
         self.at = body_point(f"{type(self).__name__}.at", at)
 
     def observed(self, scene: Scene, t: Array, state: AnyState) -> Float[Array, "3"]:
@@ -168,29 +167,7 @@ class ContactPath(AbstractSensor):
         gain: [1], shape (3,).
     """
 
-    def __init__(
-        self,
-        values: ArrayLike,
-        sigma: ArrayLike | None = None,
-        *,
-        bias: ArrayLike = 0.0,
-        gain: ArrayLike = 1.0,
-        delay: ArrayLike = 0.0,
-    ):
-        """Make a channel.
-
-        Args:
-            values: Samples [m], shape (T, 3); NaN where one is missing.
-            sigma: Standard deviation of the noise [m], one or three; None: estimated.
-            bias: Offset of the axes that it is measured on [m], one or three.
-            gain: Scale of these axes [1], one or three.
-            delay: [s].
-
-        Raises:
-            FieldError: shapes that do not fit, a sigma that is not positive.
-        """
-        self._keep(values, sigma, delay)
-        self._calibrate(bias, gain)
+    __init__ = AbstractSensor.__init__
 
     def observed(self, scene: Scene, t: Array, state: AnyState) -> Float[Array, "3"]:
         """The point; NaN in flight."""
@@ -209,29 +186,7 @@ class NormalForce(AbstractSensor):
         gain: [1], shape (1,).
     """
 
-    def __init__(
-        self,
-        values: ArrayLike,
-        sigma: ArrayLike | None = None,
-        *,
-        bias: ArrayLike = 0.0,
-        gain: ArrayLike = 1.0,
-        delay: ArrayLike = 0.0,
-    ):
-        """Make a channel.
-
-        Args:
-            values: Samples [N], shape (T,); NaN where one is missing.
-            sigma: Standard deviation of the noise [N]; None: estimated.
-            bias: Of the sensor [N].
-            gain: Of the sensor [1].
-            delay: [s].
-
-        Raises:
-            FieldError: shapes that do not fit, a sigma that is not positive.
-        """
-        self._keep(values, sigma, delay)
-        self._calibrate(bias, gain)
+    __init__ = AbstractSensor.__init__
 
     def columns(self) -> int:
         """One."""
@@ -285,8 +240,7 @@ class Observed(AbstractSensor):
             field = "Observed.function"
             raise FieldError(field, function, "must be a function", remedy)
         self.function = function
-        self._keep(values, sigma, delay)
-        self._calibrate(bias, gain)
+        super().__init__(values, sigma, bias=bias, gain=gain, delay=delay)
 
     def columns(self) -> None:
         """Any number."""

@@ -4,6 +4,7 @@ A parameter is ``value(z)`` for unconstrained numbers ``z``: positive ones by th
 logarithm, inertias by the second moments of a density, quaternions by small rotations.
 """
 
+import abc
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -32,13 +33,13 @@ class AbstractTransform(eqx.Module):
 
     reference: Array
 
+    @abc.abstractmethod
     def value(self, z: Float[Array, " k"]) -> Array:
         """The parameter at coordinates z, in its own shape."""
-        raise NotImplementedError
 
+    @abc.abstractmethod
     def start(self) -> np.ndarray:
         """Coordinates of the value that was given, shape (k,)."""
-        raise NotImplementedError
 
     def scale(self) -> np.ndarray:
         """Size of each coordinate, for what is said relative to it, shape (k,)."""
@@ -139,9 +140,9 @@ class AbstractInertia(AbstractTransform):
 
     logarithms: ClassVar[int] = 3  # among the coordinates, first
 
+    @abc.abstractmethod
     def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
         """S [kg m^2], of density times products of coordinates."""
-        raise NotImplementedError
 
     def value(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
         """The inertia about the mass centre [kg m^2]."""
@@ -272,7 +273,7 @@ class Rotated(AbstractTransform):
         """The quaternion: ``exp(z / 2)`` times the one that was given."""
         size = jnp.sum(z * z)
         # cos and sin(x)/x of x = |z| / 2 are functions of its square, smooth at zero
-        small = size < 1e-8
+        small = size < 1e-8  # what the series leave out is below 1e-16 / 384
         angle = 0.5 * jnp.sqrt(jnp.where(small, 1.0, size))
         real = jnp.where(small, 1.0 - size / 8.0, jnp.cos(angle))
         share = jnp.where(

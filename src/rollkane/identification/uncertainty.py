@@ -15,6 +15,7 @@ from .least_squares import Evaluation
 # Singular values of the scaled Jacobian below this share of the largest are rounding:
 # runs are good to 1e-9 of their size, and their derivatives to little worse.
 UNSEEN = 1e-7
+_MOVES = 10.0 * UNSEEN  # of a number's largest slope: directions are known to UNSEEN
 
 
 class Spectrum(NamedTuple):
@@ -86,6 +87,21 @@ def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
     """Directions in coordinates that change nothing, rows, shape (D, P)."""
     parts = spectrum(at.jacobian, layout.scale, at.rounding)
     return parts.directions[~parts.seen] * parts.scale
+
+
+def hidden(slopes: np.ndarray, unseen: np.ndarray, where: slice) -> np.ndarray:
+    """Which numbers unseen directions move.
+
+    Args:
+        slopes: Derivatives of the numbers by their own coordinates, shape (n, k).
+        unseen: Directions of all coordinates, rows, shape (D, P).
+        where: Which of them are the numbers' own.
+    """
+    if not unseen.size:
+        return np.zeros(len(slopes), bool)
+    away = np.abs(slopes @ unseen[:, where].T).max(axis=1)
+    size = np.abs(slopes).max(initial=0.0) * np.abs(unseen).max()
+    return away > _MOVES * size
 
 
 def slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:

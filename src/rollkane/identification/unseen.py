@@ -40,6 +40,7 @@ def described(directions: np.ndarray, layout: Layout, z: np.ndarray) -> tuple[st
 def _orthonormal(rows: np.ndarray, rank: int | None = None) -> np.ndarray:
     """Rows that span the same, orthonormal."""
     _, values, basis = np.linalg.svd(rows, full_matrices=False)
+    # rows are orthonormal, or project to nothing: between lies no rank of rounding
     count = int((values > 1e-8 * values[0]).sum()) if rank is None else rank
     return basis[:count]
 
