@@ -189,6 +189,33 @@ def test_a_run_that_cannot_go_on_says_so():
     assert run(lost, TIMES, 100).code == rk.Code.BAD_START
 
 
+def test_steps_that_end_on_outputs_are_counted():
+    """Outputs closer than steps: each step ends on one, and the most still holds."""
+    scene, start = disc()
+    times, most = np.linspace(0.0, 0.05, 51), 7
+
+    def rates(start, method):
+        run = rk.simulate(scene, start, times, method=method, max_steps=most)
+        return run.state.angular_velocity, run
+
+    for method in ("native", "diffrax"):
+        primal = lambda start, method=method: rates(start, method)
+        reached, tangent, run = jax.jvp(primal, (start,), (start,), has_aux=True)
+        assert (run.code, run.steps, run.rejected_steps) == (rk.Code.MAX_STEPS, most, 0)
+        # the first step is half an interval, as no step may fall short of its goal
+        assert run.final_time == times[most - 1]
+        for values in (reached, tangent):
+            np.testing.assert_array_equal(
+                np.isfinite(values).all(axis=1), times < times[most]
+            )
+    starts = jax.tree.map(lambda x: jnp.stack([x, x]), start)
+    both = rk.ensemble(scene, starts, times, max_steps=most)
+    assert both.steps.tolist() == [most, most]
+    assert both.code.tolist() == [rk.Code.MAX_STEPS] * 2
+    whole = rk.simulate(scene, start, times, method="native", max_steps=len(times))
+    assert whole.code == rk.Code.COMPLETED
+
+
 def test_what_is_more_than_arithmetic_is_refused():
     def found(x, y):
         knots = jnp.linspace(-4.0, 4.0, 9)

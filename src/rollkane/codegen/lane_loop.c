@@ -98,12 +98,12 @@ INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
 static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahead) {
     const long i = a->motion[l];
     int fresh = 0, ended = i < 0 || LANE(a->failed, l);
-    if (i >= 0 && !ended) {
+    if (i >= 0 && LANE(a->t, l) >= q->ends[a->stop[l]]) {
         const long stop = a->stop[l], slot = q->slots[stop];
         if (slot >= 0)
             for (int c = 0; c < N; c++)
                 out->y[(i * q->outputs + slot) * N + c] = LANE(a->y[c], l);
-        ended = stop + 1 >= q->stops;
+        ended |= stop + 1 >= q->stops;
         if (!ended) {
             fresh = q->begins[stop] != LANE(a->t, l);
             LANE(a->t, l) = q->begins[stop];
@@ -206,12 +206,13 @@ int64_t integrate(const Queue *q, const Results *out) {
             for (int l = 0; l < LANES; l++) {
                 a.steps[l] += LANE(go, l) != 0, a.rejected[l] += LANE(refused, l) != 0;
                 const int spent = a.steps[l] + a.rejected[l] >= q->max_steps;
-                LANE(out_of_steps, l) = spent ? YES : 0;
+                const int arrived = LANE(landed, l) && a.stop[l] + 1 >= q->stops;
+                LANE(out_of_steps, l) = spent && !arrived ? YES : 0;
             }
             if (any(go)) note(q, out, &a);
             a.wanted = choose_row(a.running, dt, a.wanted);
             a.t_end = choose_row(a.running, towards(q->stops == 1, a.goal, a.t, dt), a.t_end);
-            a.failed |= a.running & (small | (out_of_steps & not_row(landed)));
+            a.failed |= a.running & (small | out_of_steps);
             paused = a.running & (landed | a.failed);
             a.running &= not_row(paused);
             turns++;
