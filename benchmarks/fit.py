@@ -174,6 +174,9 @@ def summary(rows):
     row = {"found": len(good), "of": len(rows)}
     row["rollouts"] = statistics.median(r["rollouts"] for r in rows)
     row["most rollouts"] = max(r["rollouts"] for r in rows)
+    # of searches that failed too: what a user who begins anew has to pay
+    spent = sum(r["rollouts"] for r in rows)
+    row["rollouts a find"] = spent / len(good) if good else None
     row["seconds"] = statistics.median(r["seconds"] for r in later)
     row["first, s"] = rows[0]["seconds"]
     return row, good

@@ -77,7 +77,7 @@ class Estimates:
             sigma=every(problem.sigmas()),
             unseen=described(unseen, layout, z),
             rollouts=problem.rollouts,
-            failed=sum(s.minimum.failed for s in searches),
+            failed=problem.failed,
             converged=found.converged,
             stages=tuple(best.stages),
             minima=_minima(searches),

@@ -1,7 +1,7 @@
 """All records of a fit as one least-squares problem in the fit's coordinates."""
 
 from collections.abc import Callable, Sequence
-from typing import cast
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -17,14 +17,20 @@ from .layout import Coordinates, Layout
 from .least_squares import Evaluation
 from .parameters import Free, Model, Tied
 from .records import Record
-from .residuals import Group, Options, grouped, linearized, within
+from .residuals import Group, Options, Residuals, grouped, linearized, within
 from .transforms import AbstractTransform
 
 # Least noise of a channel without sigma, before a fit has seen its misfits [its size].
 _LEAST_NOISE = 1e-3
+LONGER = 8.0  # times the horizon that is asked for: how far a run looks ahead
+_KEPT = 4  # points whose misfits are kept
 # Of a derivative, relative to the size of what is differentiated: sums of 1e4 steps
 # with roundings of 1e-16, which grow tenfold.
 _ROUNDING = 1e-11
+
+# Which of the coordinates, and misfits with their derivatives by these.
+_Where: TypeAlias = slice | np.ndarray
+_Rows: TypeAlias = tuple[Any, Any, _Where]
 
 
 class Problem:
@@ -34,7 +40,9 @@ class Problem:
         layout: Free parameters.
         records: What was measured.
         deviations: Of channels without sigma, by record and name.
+        parts: Of each record, where its parameters are, and its coordinates.
         rollouts: Runs that were made.
+        failed: How many of them did not reach their end.
         progress: Hears of every evaluation: rollouts so far, and chi2.
     """
 
@@ -55,6 +63,7 @@ class Problem:
         pairs = zip(starts, records, strict=True)
         models = [Model(scene, start, modes, r.channels) for start, r in pairs]
         self.layout = Layout(models, free)
+        self.parts = [self.layout.of_record(k) for k in range(len(self.records))]
         self.deviations = [
             {
                 name: np.full(c.noise_columns(), _guessed_noise(c.values))
@@ -63,7 +72,7 @@ class Problem:
             }
             for record in records
         ]
-        self.rollouts = 0
+        self.rollouts = self.failed = 0
         self._group()
 
     def _group(self) -> None:
@@ -71,6 +80,7 @@ class Problem:
             grouped(record, self.free, deviations)
             for record, deviations in zip(self.records, self.deviations, strict=True)
         ]
+        self._known: dict[tuple[int, bytes], tuple[float, Residuals, np.ndarray]] = {}
 
     def with_noise_of(self, z: np.ndarray) -> bool:
         """Take the deviations of channels without sigma from the misfits at z.
@@ -108,27 +118,21 @@ class Problem:
 
     def evaluate(self, z: np.ndarray, horizon: float = np.inf) -> Evaluation:
         """Misfits up to a horizon after each start, priors after them."""
-        residuals: list[np.ndarray] = []
-        jacobians: list[np.ndarray] = []
+        rows: list[_Rows] = []
         failed = 0
-        for record in range(len(self.records)):
-            found, where, codes = self._linearized(record, z, horizon)
-            whole = np.zeros((found[0].size, self.layout.size))
-            whole[:, where] = found[1]
-            residuals.append(found[0])
-            jacobians.append(whole)
-            failed += int(np.any(codes != Code.COMPLETED))
-        for entry in self.layout.entries:
-            if entry.free.prior is not None:
-                value, slope = _prior(entry, z)
-                whole = np.zeros((value.size, self.layout.size))
-                whole[:, entry.where] = slope
-                residuals.append(value)
-                jacobians.append(whole)
-        residual = np.concatenate(residuals)
+        for record, (_, where) in enumerate(self.parts):
+            at, jacobian = self._up_to(record, z, horizon)
+            lost = np.any(at.counted & ~at.reached)
+            failed += int(lost and np.any(at.codes != Code.COMPLETED))
+            rows.append((at.misfit, jacobian, where))
+        rows += [(*_prior(e, z), e.where) for e in self._with_prior()]
+        residual, jacobian = _stacked(rows, self.layout.size, np)
         if self.progress is not None:
             self.progress(self.rollouts, float(residual @ residual))
-        return Evaluation(residual, np.concatenate(jacobians), failed, self.rounding)
+        return Evaluation(residual, jacobian, failed, self.rounding)
+
+    def _with_prior(self) -> list[Coordinates]:
+        return [e for e in self.layout.entries if e.free.prior is not None]
 
     @property
     def rounding(self) -> float:
@@ -141,50 +145,67 @@ class Problem:
         ]
         return _ROUNDING * float(np.sqrt(sum(np.nansum(r**2) for r in read)))
 
-    def _linearized(
+    def _up_to(
         self, record: int, z: np.ndarray, horizon: float
-    ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
-        slots, where = self.layout.of_record(record)
+    ) -> tuple[Residuals, np.ndarray]:
+        """Misfits of a record up to a horizon, and their derivatives.
+
+        The run goes on beyond it, to where the search may want to look next.
+        """
+        known = self._known.get((record, z.tobytes()))
+        if known is None or known[0] < horizon:
+            ahead = LONGER * horizon
+            known = ahead, *self._run(record, z, ahead)
+            self._known[record, z.tobytes()] = known
+            while len(self._known) > _KEPT * len(self.records):
+                del self._known[next(iter(self._known))]
+        _, at, jacobian = known
+        late = (
+            self._row_times(record) > float(self.records[record].start_time) + horizon
+        )
+        kept = at._replace(
+            misfit=np.where(late, 0.0, at.misfit), counted=at.counted & ~late
+        )
+        return kept, np.where(late[:, None], 0.0, jacobian)
+
+    def _run(
+        self, record: int, z: np.ndarray, horizon: float
+    ) -> tuple[Residuals, np.ndarray]:
+        """A record's misfits by a run up to a horizon."""
+        slots, where = self.parts[record]
         one = self.records[record]
         groups, counts = within(self.groups[record], float(one.start_time) + horizon)
         self.rollouts += len(groups)
-        found = linearized(
-            slots,
-            self.layout.models[record],
-            groups,
-            counts,
-            one.start_time,
-            self.options,
-            jnp.asarray(z[where]),
+        known = one.start_time, self.options, jnp.asarray(z[where])
+        found = linearized(slots, self.layout.models[record], groups, counts, *known)
+        at, jacobian = jax.tree.map(np.asarray, (found.at, found.jacobian))
+        self.failed += int(np.sum(at.codes != Code.COMPLETED))
+        return at, jacobian
+
+    def _row_times(self, record: int) -> np.ndarray:
+        """Time of each misfit [s]."""
+        return np.concatenate(
+            [
+                np.repeat(np.asarray(group.time), channel.noise_columns())
+                for group in self.groups[record]
+                for channel in group.channels.values()
+            ]
         )
-        parts = found.misfit, found.jacobian, found.counted
-        misfit, jacobian, counted = (np.asarray(x) for x in parts)
-        return (misfit, jacobian, counted), where, np.asarray(found.codes)
 
     def pure(self) -> Callable[[Array], tuple[Array, Array]]:
         """Residuals and their derivatives as a function that JAX can trace."""
-        parts = [self.layout.of_record(k) for k in range(len(self.records))]
-        with_prior = [e for e in self.layout.entries if e.free.prior is not None]
+        terms = [(_prior_terms(e), e.where) for e in self._with_prior()]
+        whole = [within(groups, np.inf) for groups in self.groups]
 
         def evaluate(z: Array) -> tuple[Array, Array]:
-            rows: list[tuple[Array, Array]] = []
-            for record, (slots, where) in enumerate(parts):
-                one = self.records[record]
-                groups, counts = within(self.groups[record], np.inf)
-                model, known = (
-                    self.layout.models[record],
-                    (one.start_time, self.options),
-                )
-                found = linearized(slots, model, groups, counts, *known, z[where])
-                whole = jnp.zeros((found.misfit.shape[0], z.shape[0]), z.dtype)
-                whole = whole.at[:, where].set(found.jacobian)
-                rows.append((found.misfit, whole))
-            for entry in with_prior:
-                value, slope = _prior_of(*_prior_terms(entry), z[entry.where])
-                whole = jnp.zeros((value.shape[0], z.shape[0]), z.dtype)
-                rows.append((value, whole.at[:, entry.where].set(slope)))
-            residuals, jacobians = zip(*rows, strict=True)
-            return jnp.concatenate(residuals), jnp.concatenate(jacobians)
+            rows: list[_Rows] = []
+            for record, (slots, where) in enumerate(self.parts):
+                known = self.records[record].start_time, self.options, z[where]
+                model = self.layout.models[record]
+                found = linearized(slots, model, *whole[record], *known)
+                rows.append((found.at.misfit, found.jacobian, where))
+            rows += [(*_prior_of(*known, z[where]), where) for known, where in terms]
+            return _stacked(rows, self.layout.size, jnp)
 
         return evaluate
 
@@ -208,12 +229,14 @@ class Problem:
                     found.append(sampled & np.asarray(count)[:, None])
         return found
 
-    def channel_misfits(self, z: np.ndarray) -> list[dict[str, np.ndarray]]:
+    def channel_misfits(
+        self, z: np.ndarray, horizon: float = np.inf
+    ) -> list[dict[str, np.ndarray]]:
         """Misfits over their deviations by record and channel, NaN where none is."""
         found: list[dict[str, np.ndarray]] = []
         for record in range(len(self.records)):
-            (misfit, _, counted), _, _ = self._linearized(record, z, np.inf)
-            whole = np.where(counted, misfit, np.nan)
+            at, _ = self._up_to(record, z, horizon)
+            whole = np.where(at.counted, at.misfit, np.nan)
             found.append(_split(whole, self.groups[record]))
         return found
 
@@ -248,6 +271,20 @@ class Problem:
             {name: np.asarray(g.time) for g in groups for name in g.channels}
             for groups in self.groups
         ]
+
+
+def _stacked(rows: list[_Rows], size: int, xp: Any) -> tuple[Any, Any]:
+    """Residuals, and their derivatives by all coordinates, of NumPy's or of JAX."""
+
+    def by_all(slope: Any, where: _Where) -> Any:
+        index = np.full(size, slope.shape[1])
+        index[where] = np.arange(slope.shape[1])
+        none = xp.zeros((slope.shape[0], 1), slope.dtype)
+        return xp.concatenate([slope, none], axis=1)[:, index]
+
+    values, slopes, places = zip(*rows, strict=True)
+    columns = [by_all(*pair) for pair in zip(slopes, places, strict=True)]
+    return xp.concatenate(values), xp.concatenate(columns)
 
 
 def _split(whole: np.ndarray, groups: tuple[Group, ...]) -> dict[str, np.ndarray]:

@@ -35,7 +35,7 @@ class Fit(Estimates):
             was given.
         unseen: What the records cannot tell, in words.
         rollouts: Runs that were made, each with its derivatives.
-        failed: How many tried points had runs that did not reach their end.
+        failed: How many of them did not reach their end.
         converged: Whether no step promised more.
         stages: Horizons that were fitted.
         minima: Distinct minima of several starts: chi2 and how many ended there.

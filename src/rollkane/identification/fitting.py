@@ -194,7 +194,6 @@ def _continued(first: Search, again: Search) -> Search:
     before, last = first.minimum, again.minimum
     whole = last._replace(
         evaluations=before.evaluations + last.evaluations,
-        failed=before.failed + last.failed,
         path=np.concatenate([before.path, last.path[1:]]),
     )
     return Search(whole, first.stages + again.stages[-1:])

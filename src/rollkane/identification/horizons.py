@@ -10,16 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .experiments import Problem
-from .least_squares import Evaluation, Loss, Minimum, minimize
+from .experiments import LONGER, Problem
+from .least_squares import FIRST_DAMPING, Evaluation, Loss, Minimum, minimize
 
 # A prediction follows a record as long as its misfit is below this share of the
 # record's own variation (both as root mean squares up to there): an oscillation that is
 # out of phase by a fifth of a radian.
 _FOLLOWS = 0.2
 _SAMPLES = 3.0  # for each coordinate, at least
-_LONGER = 4.0  # most that a horizon grows by
 _FEW = 30  # points tried at one horizon: a longer one follows
+_ENOUGH = 1.0  # promised fall of chi2 at one horizon: a standard deviation
 _GUESSES, _AROUND = 12, 0.2  # others that are tried, and their deviation [of the size]
 _WEAK = 1.0  # deviation of a coordinate [of its size] while the horizon is short
 
@@ -63,20 +63,19 @@ def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Searc
     guesses = _GUESSES
     while horizon < problem.span and growth.evaluations < most:
         found = growth.searched(z, horizon)
-        while guesses and followed(problem, found.z, least=0.0) < horizon:
+        while guesses and followed(problem, found.z, 0.0, horizon) < horizon:
             guesses -= 1
             other = growth.searched(growth.guess(), horizon)
             found = min(found, other, key=lambda m: m.cost)
-        z = found.z
+        z, growth.damping = found.z, min(FIRST_DAMPING, found.damping)
         growth.path.extend(found.path)
         growth.stages.append(_stage(problem, found, horizon))
-        grown = followed(problem, z, least=1.25 * horizon)
-        horizon = min(grown, _LONGER * horizon)
-    last = minimize(problem.evaluate, z, *problem.layout.box, loss, most)
+        horizon = followed(problem, z, 1.25 * horizon, LONGER * horizon)
+    box = problem.layout.box
+    last = minimize(problem.evaluate, z, *box, loss, most, damping=growth.damping)
     growth.stages.append(_stage(problem, last, np.inf))
     whole = last._replace(
         evaluations=growth.evaluations + last.evaluations,
-        failed=growth.failed + last.failed,
         path=np.concatenate([np.array(growth.path).reshape(-1, z.size), last.path]),
     )
     return Search(whole, growth.stages)
@@ -90,14 +89,14 @@ class _Growth:
         self.random = np.random.default_rng(0)
         self.stages: list[Stage] = []
         self.path: list[np.ndarray] = []
-        self.evaluations = self.failed = 0
+        self.evaluations, self.damping = 0, FIRST_DAMPING
 
     def searched(self, z: np.ndarray, horizon: float) -> Minimum:
         """The minimum up to a horizon."""
         held = _weakly_held(self.problem, z, horizon)
-        found = minimize(held, z, *self.problem.layout.box, self.loss, _FEW)
+        known = *self.problem.layout.box, self.loss, _FEW, _ENOUGH, self.damping
+        found = minimize(held, z, *known)
         self.evaluations += found.evaluations
-        self.failed += found.failed
         return found
 
     def guess(self) -> np.ndarray:
@@ -107,13 +106,15 @@ class _Growth:
         return np.clip(self.first + away, layout.lower, layout.upper)
 
 
-def followed(problem: Problem, z: np.ndarray, least: float) -> float:
-    """How long the prediction follows the records [s]; no less than ``least``."""
-    horizon = np.inf
+def followed(
+    problem: Problem, z: np.ndarray, least: float, most: float = np.inf
+) -> float:
+    """How long the prediction follows the records [s], between two limits."""
+    horizon = most
     parts = zip(
         problem.records,
         problem.times(),
-        problem.channel_misfits(z),
+        problem.channel_misfits(z, most),
         problem.sizes(),
         strict=True,
     )

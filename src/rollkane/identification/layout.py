@@ -187,7 +187,7 @@ class Layout:
             for t in self.tied
             if record in _owners(self.models, t.path)
         ]
-        return Slots(tuple(slots), tuple(tied)), np.array(where)
+        return Slots(tuple(slots), tuple(tied)), np.array(where, int)
 
     def model(self, record: int, z: np.ndarray) -> Model:
         """A record's model at coordinates z of the fit."""

@@ -28,7 +28,7 @@ def _how(fit: Estimates) -> list[str]:
         f"  chi2 / degrees of freedom  {fit.chi2:.6g} / {freedom} = "
         f"{fit.chi2 / max(freedom, 1):.4g}",
         f"  rollouts                   {fit.rollouts}, with derivatives; "
-        f"{fit.failed} tries with runs that did not reach their end",
+        f"{fit.failed} did not reach their end",
     ]
     if not fit.converged:
         found.append("  NOT converged: more evaluations, or a better guess, are needed")

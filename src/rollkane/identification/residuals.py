@@ -7,7 +7,7 @@ output times move with it.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -26,6 +26,8 @@ from .records import Record
 _BEHIND = 1e-6
 # A sample that a run does not reach counts as this many deviations, and what it reads.
 _LOST = 10.0
+# Misfits, which of them are samples, and which are reached.
+_Rows: TypeAlias = tuple[Array, Array, Array]
 
 
 class Options(NamedTuple):
@@ -59,11 +61,13 @@ class Residuals(NamedTuple):
     Attributes:
         misfit: Over their deviations [1], shape (N,); 0 where no sample is.
         counted: Which of them are samples, shape (N,).
+        reached: For which of them the run gives a number, shape (N,).
         codes: Of the runs, shape (G,).
     """
 
     misfit: Float[Array, " N"]
     counted: Bool[Array, " N"]
+    reached: Bool[Array, " N"]
     codes: Array
 
 
@@ -71,16 +75,12 @@ class Linearized(eqx.Module):
     """Misfits at some parameters.
 
     Attributes:
-        misfit: Over their deviations [1], shape (N,); 0 where no sample is.
-        jacobian: Derivative by the record's coordinates, shape (N, P).
-        counted: Which of them are samples, shape (N,).
-        codes: Of the runs, shape (G,).
+        at: Misfits.
+        jacobian: Their derivative by the record's coordinates, shape (N, P).
     """
 
-    misfit: Float[Array, " N"]
+    at: Residuals
     jacobian: Float[Array, "N P"]
-    counted: Bool[Array, " N"]
-    codes: Array
 
 
 def grouped(
@@ -200,7 +200,7 @@ def linearized(
     jacobian, found = cast(
         tuple[Array, Residuals], jax.jacfwd(misfits, has_aux=True)(z)
     )
-    return Linearized(found.misfit, jacobian, found.counted, found.codes)
+    return Linearized(found, jacobian)
 
 
 def residuals_of(
@@ -215,9 +215,13 @@ def residuals_of(
         _of_group(model, group, count, start_time, options)
         for group, count in zip(groups, counts, strict=True)
     ]
-    misfit = jnp.concatenate([part[0] for part in parts])
-    counted = jnp.concatenate([part[1] for part in parts])
-    return Residuals(misfit, counted, jnp.stack([part[2] for part in parts]))
+    rows = _one_below_the_other([part[:3] for part in parts])
+    return Residuals(*rows, jnp.stack([part[3] for part in parts]))
+
+
+def _one_below_the_other(rows: Sequence[_Rows]) -> _Rows:
+    misfits, counts, reaches = zip(*rows, strict=True)
+    return jnp.concatenate(misfits), jnp.concatenate(counts), jnp.concatenate(reaches)
 
 
 def _of_group(
@@ -226,8 +230,8 @@ def _of_group(
     count: Bool[Array, " T"],
     start_time: Float[Array, ""],
     options: Options,
-) -> tuple[Array, Array, Array]:
-    """Misfits of a group's channels, which are samples, and the code of its run."""
+) -> tuple[Array, Array, Array, Array]:
+    """Of a group's channels what :class:`Residuals` has, and the code of its run."""
     time = group.time
     if group.delayed:
         (name,) = group.channels
@@ -243,7 +247,7 @@ def _of_group(
         max_steps=options.max_steps,
         method=options.method,
     )
-    found: list[tuple[Array, Array]] = []
+    found: list[_Rows] = []
     for name, samples in group.channels.items():
         # the record's samples and noise, with the parameters of the model's channel
         channel = eqx.tree_at(
@@ -267,6 +271,6 @@ def _of_group(
         size = jnp.sqrt(jnp.mean(jnp.where(sampled, samples.values, 0.0) ** 2))
         lost = _LOST + 2.0 * size / channel.sigma[None]
         finite = jnp.where(reached, misfit, lost)
-        found.append((jnp.where(counted, finite, 0.0).ravel(), counted.ravel()))
-    misfits, counts = zip(*found, strict=True)
-    return jnp.concatenate(misfits), jnp.concatenate(counts), run.code
+        kept = jnp.where(counted, finite, 0.0)
+        found.append((kept.ravel(), counted.ravel(), reached.ravel()))
+    return *_one_below_the_other(found), run.code
