@@ -78,3 +78,30 @@ def test_of_every_scene(name):
         "start.angular_velocity",
     ]
     agree(problem_for(file.scene, file.start, paths))
+
+
+@pytest.mark.slow
+def test_through_flight_impact_slip_and_grip():
+    """A thrown ball; no sample lies where a step of differences moves an event to."""
+    ball = rk.Body(6.0, 0.4 * 6.0 * 0.11**2 * np.eye(3), rk.Sphere(0.11))
+    scene = rk.Scene(ball)
+    upright, above = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.2)
+    start = rk.release(scene, upright, (0.0, -5.0, 3.0), above, (1.0, 0.2, 0.0))
+    modes = rk.Modes(friction=0.2, restitution=0.4, switches=16)
+    times = np.linspace(0.02, 1.2, 41)
+    run = rk.simulate(scene, start, times, modes=modes, rtol=1e-11)
+    events = np.asarray(run.switches.time)[: int(run.switches.count)]
+    assert len(events) >= 3
+    # h = 1e-3 of the sizes moves times of some tenths of a second by as much
+    assert np.abs(events[:, None] - times).min() > 2 * STEP * times[-1]
+    rows = np.zeros((len(times), 3))
+    record = rk.Record(
+        times,
+        {"gyro": rk.Gyro(rows, 1.0), "place": rk.Position(rows, 0.1)},
+        start_time=0.0,
+    )
+    paths = "modes.friction", "modes.restitution", "body.inertia"
+    free = tuple(rk.Free(path) for path in (*paths, "start.angular_velocity"))
+    options = Options(rtol=1e-11)
+    found = agree(problem_of(scene, [start], [record], free, modes, options))
+    assert (np.abs(found).max(axis=0) > 0.0).all()

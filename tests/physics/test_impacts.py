@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.dynamics.impact_process import NEVER_SLIPS
+from rollkane.dynamics.impact_process import NEVER_SLIPS, collided
 from rollkane.dynamics.impacts import impact
 from rollkane.geometry.rotations import rotation_matrix
 from rollkane.kinematics.coordinates import FlyingState
@@ -236,6 +236,51 @@ def test_of_a_ball_both_laws_are_one(law):
     expected = -(x["mass"] * along / slip)[:, None] * u[:, :2]
     np.testing.assert_allclose(J[:, :2], expected, atol=1e-10)
     np.testing.assert_allclose(after[:, 2], -x["e"] * u[:, 2], atol=1e-10)
+
+
+# Responses G [1/kg] that turn no slip: of a ball, and of a body hit in its plane.
+BALL_LIKE = np.diag([3.5, 3.5, 1.0])
+IN_A_PLANE = np.array([[4.0, 0.0, 1.5], [0.0, 2.0, 0.0], [1.5, 0.0, 2.0]])
+STRAIGHT = [  # response, velocity, mu, e
+    (BALL_LIKE, (2.0, 1.0, -1.0), 0.2, 0.5),  # slips on
+    (BALL_LIKE, (0.4, 0.2, -1.0), 0.5, 0.5),  # stops
+    (BALL_LIKE, (0.4, 0.2, -1.0), 0.5, 0.0),
+    (IN_A_PLANE, (2.0, 0.0, -1.0), 0.2, 0.6),
+    (IN_A_PLANE, (-3.0, 0.0, -1.0), 0.2, 0.6),
+    (IN_A_PLANE, (0.3, 0.0, -1.0), 0.2, 0.6),  # slips back
+    (IN_A_PLANE, (0.3, 0.0, -1.0), 0.9, 0.6),  # stops and sticks
+    (IN_A_PLANE, (2.0, 0.7, -1.0), 0.0, 0.6),  # without friction
+]
+
+
+def test_neighbours_of_a_straight_slip_turn():
+    """What symmetry keeps straight has derivatives by what breaks the symmetry.
+
+    Central differences of steps 1e-3 and 5e-4, extrapolated: 1e-12 of a fifth
+    derivative, which powers of mu G / slip of up to 10 make 1e-7 of the sixth's; and
+    the process' own 1e-10 over 1e-3.
+    """
+    pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+
+    def ended(x):
+        G = jnp.zeros((3, 3))
+        for at, value in zip(pairs, x[3:9], strict=True):
+            G = G.at[at].set(value).at[at[::-1]].set(value)
+        found = collided(x[:3], G, x[9], x[10], jnp.asarray(SLOW))
+        return jnp.concatenate(found)
+
+    cases = jnp.asarray(
+        [[*u, *(G[at] for at in pairs), mu, e] for G, u, mu, e in STRAIGHT]
+    )
+    run, jacobian = jax.jit(jax.vmap(ended)), jax.jit(jax.vmap(jax.jacfwd(ended)))
+    found = jacobian(cases)
+    for i in range(cases.shape[1]):
+        way = jnp.eye(cases.shape[1])[i][None]
+        slope = lambda h, way=way: (run(cases + h * way) - run(cases - h * way)) / 2 / h
+        expected = (4.0 * slope(5e-4) - slope(1e-3)) / 3.0
+        # friction and restitution that would be negative have no meaning
+        meant = (cases[:, i] > 0.0) | (i < 9)
+        np.testing.assert_allclose(found[meant, :, i], expected[meant], atol=1e-6)
 
 
 @pytest.mark.slow

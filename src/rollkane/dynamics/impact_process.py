@@ -8,7 +8,7 @@ and its work is never positive, whatever the body. Equations: docs/theory.md, (8
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
 import jax
@@ -76,8 +76,7 @@ def collided(
 def _collided(
     inputs: Float[Array, "14"], rest_speed: Float[Array, ""]
 ) -> Float[Array, "6"]:
-    velocity, response = inputs[:3], inputs[3:12].reshape(3, 3)
-    return _process(velocity, response, inputs[12], inputs[13], rest_speed)
+    return _process_of(inputs, rest_speed, _turning)
 
 
 @_collided.defjvp
@@ -86,15 +85,16 @@ def _collided_jvp(
     tangents: tuple[Float[Array, "14"], Float[Array, ""]],
 ) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
     inputs, rest_speed = primals
-    process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed)
+    # a way that is straight by symmetry has neighbours that turn
+    process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed, _bendable)
     jacobian = cast(Float[Array, "6 14"], jax.jacfwd(process)(inputs))
     return _collided(*primals), jacobian @ tangents[0]
 
 
 def _process_of(
-    x: Float[Array, "14"], rest_speed: Float[Array, ""]
+    x: Float[Array, "14"], rest_speed: Float[Array, ""], left: "_Left"
 ) -> Float[Array, "6"]:
-    return _process(x[:3], x[3:12].reshape(3, 3), x[12], x[13], rest_speed)
+    return _process(x[:3], x[3:12].reshape(3, 3), x[12], x[13], rest_speed, left)
 
 
 class _Sliding(NamedTuple):
@@ -160,6 +160,18 @@ def _turning(
     return jnp.where(mu > 0.0, slip * turning, 0.0)
 
 
+def _bendable(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
+) -> Float[Array, ""]:
+    """Slip [m/s], while changes of the body or of the friction may turn it."""
+    turns = (mu > 0.0) | (_length(G[:2, 2]) > 0.0)
+    return jnp.where(turns, _length(y[:2]), 0.0)
+
+
+# What is left [m/s] of a slip that does not go straight, of response, friction, state.
+_Left: TypeAlias = Callable[[Array, Array, Array], Array]
+
+
 def _slip_of(
     velocity: Float[Array, " m"],
 ) -> tuple[Float[Array, ""], Float[Array, "2"]]:
@@ -179,6 +191,7 @@ def _slid(
     mu: Float[Array, ""],
     e: Float[Array, ""],
     start: _Sliding,
+    left: _Left,
     least: Float[Array, ""],
 ) -> _Sliding:
     """Until the impact has ended, or the slip goes straight: to its end, if any."""
@@ -186,7 +199,7 @@ def _slid(
     eps = np.finfo(G.dtype).eps
 
     def going(c: _Sliding) -> Bool[Array, ""]:
-        turns = _turning(G, mu, c.y) > least
+        turns = left(G, mu, c.y) > least
         return turns & (c.phase < 2) & (c.turns < _TURNS)
 
     def turn(c: _Sliding) -> _Sliding:
@@ -236,14 +249,16 @@ def _process(
     mu: Float[Array, ""],
     e: Float[Array, ""],
     rest_speed: Float[Array, ""],
+    left: _Left,
 ) -> Float[Array, "6"]:
     """Impulse and velocity behind an impact, in one array."""
     zero, none = jnp.zeros_like(mu), jnp.asarray(0)
     y = jnp.concatenate([velocity, jnp.zeros(4, mu.dtype)])
     comes = velocity[2] < 0.0
     least = _STRAIGHT * jnp.where(comes, _length(velocity), jnp.inf)
-    c = _slid(G, mu, e, _Sliding(y, zero, zero, zero, none, zero, y, none), least)
-    lost = comes & (c.phase < 2) & (_turning(G, mu, c.y) > least)
+    begun = _Sliding(y, zero, zero, zero, none, zero, y, none)
+    c = _slid(G, mu, e, begun, left, least)
+    lost = comes & (c.phase < 2) & (left(G, mu, c.y) > least)
     now = _Now(c.y[:3], c.y[3:6], c.y[6], c.phase, c.goal, c.closed[:6])
     slip, way = _slip_of(now.velocity)
     push = jnp.append(-mu * way, jnp.ones_like(mu))
