@@ -18,7 +18,7 @@ from rollkane.files.scene_files import (
     scene_schema,
 )
 from rollkane.files.scene_files.formulas import Formula, FormulaError, parse
-from rollkane.files.scene_files.load_tables import GravityTable
+from rollkane.files.scene_files.load_tables import LOADS
 from rollkane.files.scene_files.positions import line_and_column, positions
 from rollkane.files.scene_files.scene_building import _BY_FORMULA, _CATALOGUE
 from rollkane.files.scene_files.tables import SURFACES
@@ -645,7 +645,7 @@ def test_defaults_are_those_of_the_constructors():
     makers = _CATALOGUE | {kind: made[0] for kind, made in _BY_FORMULA.items()}
     assert set(makers) == set(SURFACES)
     tables = [(SURFACES[kind], make) for kind, make in makers.items()]
-    for table, make in [*tables, (GravityTable, Gravity)]:
+    for table, make in [*tables, (LOADS["gravity"], Gravity)]:
         signature = inspect.signature(make).parameters
         for name, field in table.model_fields.items():
             if name in signature and name not in ("f", "parameters"):
