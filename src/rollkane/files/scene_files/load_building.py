@@ -12,9 +12,6 @@ from .load_tables import CONTACTS, LOADS, ModesTable
 from .positions import Given, Path
 from .problems import Report
 
-_LOADS = {kind: table.made_by() for kind, table in LOADS.items()}
-_LAWS = {kind: table.made_by() for kind, table in CONTACTS.items()}
-
 
 def loads_of(report: Report) -> tuple[AbstractLoad, ...] | None:
     """Loads of a file; None where something was wrong."""

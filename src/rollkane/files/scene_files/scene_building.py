@@ -28,18 +28,12 @@ from .positions import Given, Path
 from .problems import Report
 from .tables import SURFACES, BodyTable, StartTable
 
-# kind -> (constructor, its argument, fields with formulas, coordinates)
+# kind -> (argument of its constructor, fields with formulas, coordinates)
 _BY_FORMULA = {
-    kind: (SURFACES[kind].made_by(), argument, texts, coordinates)
-    for kind, argument, texts, coordinates in (
-        ("graph", "f", ("f",), ("x", "y")),
-        ("revolution", "profile", ("radius", "height"), ("s",)),
-        ("parametric", "position", ("x", "y", "z"), ("q1", "q2")),
-        ("implicit", "f", ("f",), ("x", "y", "z")),
-    )
-}
-_CATALOGUE = {
-    kind: table.made_by() for kind, table in SURFACES.items() if kind not in _BY_FORMULA
+    "graph": ("f", ("f",), ("x", "y")),
+    "revolution": ("profile", ("radius", "height"), ("s",)),
+    "parametric": ("position", ("x", "y", "z"), ("q1", "q2")),
+    "implicit": ("f", ("f",), ("x", "y", "z")),
 }
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
@@ -99,7 +93,7 @@ def _surface(path: tuple[str, str], report: Report) -> AbstractSurface | None:
         return None
     others: dict[str, Any] = {}
     if kind in _BY_FORMULA:
-        _, argument, texts, coordinates = _BY_FORMULA[kind]
+        argument, texts, coordinates = _BY_FORMULA[kind]
         others = usable(path, ("domain",), report)
         others[argument] = formula = _formula(path, texts, coordinates, report)
         if formula.parameters:
