@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic.fields import FieldInfo
 
+from ...geometry.numpy_rotations import product
 from ...validation.checks import FieldError
 from .derived_tables import DerivedTable
 from .positions import Path
@@ -107,9 +108,9 @@ def usable(path: Path, names: Iterable[str], report: Report) -> dict[str, Any]:
 
 def product_of_turns(turns: list[tuple[str, float]]) -> np.ndarray:
     """Quaternion of turns about x, y or z [degrees], matrices left to right."""
-    a, v = 1.0, np.zeros(3)
+    whole = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, degrees in turns:
         half = 0.5 * math.radians(degrees)
-        b, w = math.cos(half), math.sin(half) * np.eye(3)["xyz".index(axis)]
-        a, v = a * b - v @ w, a * w + b * v + np.cross(v, w)
-    return np.array([a, *v])
+        along = np.eye(3)["xyz".index(axis)]
+        whole = product(whole, [math.cos(half), *(math.sin(half) * along)])
+    return whole

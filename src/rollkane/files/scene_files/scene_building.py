@@ -14,6 +14,7 @@ import numpy as np
 from ...dynamics.bodies import Body
 from ...dynamics.placement import place
 from ...dynamics.scene import Base, Scene, Slipping, under
+from ...geometry.numpy_rotations import rotated
 from ...geometry.surfaces import AbstractSurface, Sphere
 from ...hybrid.modes import Modes
 from ...integration.integrate import LOOSEST
@@ -136,7 +137,7 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         orientation = given.get("orientation", _UNTURNED)
     velocity = given.get("angular_velocity", (0.0, 0.0, 0.0))
     if "angular_velocity_body" in given:
-        velocity = _rotated(orientation, given["angular_velocity_body"])
+        velocity = rotated(orientation, given["angular_velocity_body"])
     arguments = {
         "orientation": orientation,
         "angular_velocity": velocity,
@@ -176,14 +177,6 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         {"orientation": _unit(orientation), "alpha": still, "alpha_dot": still},
     )
     return None if scene is None else start
-
-
-def _rotated(quaternion: Any, vector: Any) -> np.ndarray:
-    """Body components [any unit] in the fixed axes, for a quaternion of any length."""
-    a, *v = quaternion
-    square = max(float(np.dot(quaternion, quaternion)), 1e-300)  # refused later if zero
-    turn = 2.0 * np.cross(v, vector) / square
-    return np.asarray(vector) + a * turn + np.cross(v, turn)
 
 
 def _unit(quaternion: Any) -> np.ndarray:
