@@ -162,9 +162,11 @@ def _arguments(constructor: str) -> Iterator[_Argument]:
     for make in parts:
         if isinstance(make, ast.FunctionDef) and make.name == "__init__":
             told = _descriptions(ast.get_docstring(make) or "")
-            given, defaults = make.args.args[1:], make.args.defaults
-            required = [None] * (len(given) - len(defaults))
-            for argument, default in zip(given, [*required, *defaults], strict=True):
+            given = make.args.args[1:]
+            required = [None] * (len(given) - len(make.args.defaults))
+            defaults = [*required, *make.args.defaults, *make.args.kw_defaults]
+            given += make.args.kwonlyargs
+            for argument, default in zip(given, defaults, strict=True):
                 known = attributes.get(argument.arg, "")
                 yield _Argument(
                     argument.arg, known, default, told.get(argument.arg, "")
