@@ -14,6 +14,7 @@ REPLACED = {
     r"carr(y|ies) (its|their) (contact )?point": "explicit contact coordinates",
     r"\.carries_point": "has_contact_coordinates",
     r"[Bb]rought ?back|BroughtBack": "projected",
+    r"\.room\b|\b_?ROOM\b": "workspace",
     r"manieth": "n-th",
     r"motion that pulls": "tensile contact force",
 }

@@ -18,9 +18,8 @@ from rollkane.files.scene_files import (
     scene_schema,
 )
 from rollkane.files.scene_files.formulas import Formula, FormulaError, parse
-from rollkane.files.scene_files.load_tables import GravityTable
+from rollkane.files.scene_files.load_tables import LOADS
 from rollkane.files.scene_files.positions import line_and_column, positions
-from rollkane.files.scene_files.scene_building import _BY_FORMULA, _CATALOGUE
 from rollkane.files.scene_files.tables import SURFACES
 
 GOOD = """\
@@ -642,10 +641,8 @@ def test_defaults_are_those_of_the_constructors():
     def plain(value):
         return np.asarray(value, dtype=float).tolist()
 
-    makers = _CATALOGUE | {kind: made[0] for kind, made in _BY_FORMULA.items()}
-    assert set(makers) == set(SURFACES)
-    tables = [(SURFACES[kind], make) for kind, make in makers.items()]
-    for table, make in [*tables, (GravityTable, Gravity)]:
+    tables = [(table, table.made_by()) for table in SURFACES.values()]
+    for table, make in [*tables, (LOADS["gravity"], Gravity)]:
         signature = inspect.signature(make).parameters
         for name, field in table.model_fields.items():
             if name in signature and name not in ("f", "parameters"):

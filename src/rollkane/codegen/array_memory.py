@@ -114,7 +114,7 @@ class Arrays:
         self._loops = itertools.count()
 
     def new(self, shape: tuple[int, ...], kind: str) -> Memory:
-        """Room for an array, of which this is the only name."""
+        """Memory for an array, of which this is the only name."""
         place = self.writer.place(math.prod(shape))
         return Memory(place, kind, shape, packed(shape), owned=True)
 

@@ -97,16 +97,16 @@ class TangentLoop:
         """
         count = y_dot.shape[-1]
         groups = -(-count // self._lanes)
-        room = groups * self._lanes
+        padded = groups * self._lanes
 
         def rows(x: Array) -> Array:
             """Shape (groups, numbers, lanes)."""
-            x = jnp.pad(x, ((0, 0), (0, room - count)))
+            x = jnp.pad(x, ((0, 0), (0, padded - count)))
             return jnp.moveaxis(x.reshape(-1, groups, self._lanes), 1, 0)
 
         def back(x: Array) -> Array:
             x = jnp.moveaxis(x, 0, -2)
-            return x.reshape(*x.shape[:-2], room)[..., :count]
+            return x.reshape(*x.shape[:-2], padded)[..., :count]
 
         shared = in_one([*self._varied, *self._closed], y.dtype)
         changes = [x.reshape(-1, count) for x in tangents]

@@ -181,8 +181,8 @@ class LaneLoop:
             *(x.ctypes.data for x in (*reals, slots)),
             *(queue.time, queue.rtol, queue.dtmin, queue.sense, queue.max_steps),
         )
-        room = (ctypes.c_void_p * 6)(*(x.ctypes.data for x in results[:6]))
-        turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(room))
+        outputs = (ctypes.c_void_p * 6)(*(x.ctypes.data for x in results[:6]))
+        turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(outputs))
         return results._replace(turns=turns)
 
 

@@ -10,7 +10,7 @@
 typedef struct {
     const real *given[MOST_GIVEN];
     real *left[MOST_RESULTS];
-    real *room; /* of all arrays in memory */
+    real *workspace; /* of all arrays in memory */
 } Frame;
 
 /* like XLA's: what is not a number is zero, what is too large the largest */

@@ -7,9 +7,9 @@ static void run_member(void *job, long b) {
     Frame frame;
     for (long i = 0; i < MOST_GIVEN; i++) frame.given[i] = member(call, i, b);
     for (long i = 0; i < MOST_RESULTS; i++) frame.left[i] = wanted(call, i, b);
-    frame.room = malloc((ROOM + 1) * sizeof *frame.room);
+    frame.workspace = malloc((WORKSPACE + 1) * sizeof *frame.workspace);
     run(&frame);
-    free(frame.room);
+    free(frame.workspace);
 }
 
 void *called_by_xla(const CallFrame *frame) {

@@ -110,13 +110,13 @@ def lanes_source(
     stage = "row t, const row *restrict y, const row *restrict own"
 
     def written(
-        function: Callable[..., Array], room: int, ending: str
+        function: Callable[..., Array], further: int, ending: str
     ) -> tuple[Functions, list[Array], int]:
         time = jax.ShapeDtypeStruct((), state.dtype)
         program = Program(function, time, state, *leaves)
         statements = Statements()
         values, size = _of_lanes(state, leaves, own, zeros)
-        closed, traced = _closed(program, size + room, state.dtype)
+        closed, traced = _closed(program, size + further, state.dtype)
         (numbers,) = program(values, statements.operate, closed)
         result = Result("d", numbers, row=True)
         made = as_functions(statements, stage, [result], ending)

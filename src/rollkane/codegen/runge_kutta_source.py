@@ -88,7 +88,7 @@ def pull_source(weights: Weights) -> str:
 
 
 def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
-    """Stages and end of a step; of each name x a state xy, rates xk and a room xz."""
+    """Stages and end of a step; of each name x: xy is state, xk rates, xz workspace."""
     listed: Callable[[str], str]
     each: Callable[[str], list[str]]
     listed = lambda array: ", ".join(x + array for x in names)

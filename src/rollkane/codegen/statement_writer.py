@@ -46,7 +46,7 @@ class Writer:
     Attributes:
         functions: Of blocks that were long.
         tables: Definitions of known numbers that are looked up.
-        room: How many numbers the arrays in memory take.
+        workspace: How many numbers the arrays in memory take.
         places: Where each of these begins, in the order of their names.
     """
 
@@ -54,7 +54,7 @@ class Writer:
         """An empty program."""
         self.functions: list[str] = []
         self.tables: dict[str, str] = {}
-        self.room = 0
+        self.workspace = 0
         self.places: list[int] = []
         self._blocks = [Block()]
         self._types: dict[str, str] = {}
@@ -95,9 +95,9 @@ class Writer:
         return number
 
     def place(self, size: int) -> str:
-        """Room for an array in memory."""
-        self.places.append(self.room)
-        self.room += size
+        """Place for an array in memory."""
+        self.places.append(self.workspace)
+        self.workspace += size
         return f"m{len(self.places) - 1}"
 
     def table(self, values: Iterable[str]) -> str:

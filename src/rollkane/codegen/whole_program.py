@@ -104,7 +104,11 @@ def _compiled(
     size = _leave(walk, found, homes)
     shapes = [(size,), *((home.size,) for home in homes if home is not None)]
     writer = walk.writer
-    head = {"MOST_GIVEN": count, "MOST_RESULTS": len(shapes), "ROOM": writer.room}
+    head = {
+        "MOST_GIVEN": count,
+        "MOST_RESULTS": len(shapes),
+        "WORKSPACE": writer.workspace,
+    }
     begins, *others, last = _texts(writer, count, len(shapes))
     parts = "program.h", begins, last, "threads.h", "program_call.c"
     more = tuple(("rows.h", "program.h", begins, text) for text in others)
@@ -178,7 +182,10 @@ def _texts(writer: Writer, given: int, left: int) -> list[str]:
     head = [
         *(f"#define a{i} (frame->given[{i}])" for i in range(given)),
         *(f"#define o{i} (frame->left[{i}])" for i in range(left)),
-        *(f"#define m{i} (frame->room + {at})" for i, at in enumerate(writer.places)),
+        *(
+            f"#define m{i} (frame->workspace + {at})"
+            for i, at in enumerate(writer.places)
+        ),
         *(
             f"static const real {name}[] = {{{text}}};"
             for text, name in writer.tables.items()

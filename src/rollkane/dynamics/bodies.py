@@ -47,12 +47,12 @@ class Body(eqx.Module):
         """Make a body.
 
         Args:
-            mass: [kg], positive.
-            inertia: Tensor about the centre of mass, body axes [kg m^2], shape (3, 3);
-                symmetric, positive definite, no principal moment larger than the sum
-                of the others.
+            mass: The mass [kg], positive.
+            inertia: The 3 x 3 tensor about the CENTRE OF MASS, body axes [kg m^2],
+                off-diagonal entries minus the products of inertia. Symmetric, positive
+                definite, no principal moment larger than the sum of the others.
             surface: Outer surface, body axes.
-            center_of_mass: From the body origin, body axes [m], shape (3,).
+            center_of_mass: Three lengths from the body origin, body axes [m].
 
         Raises:
             FieldError: a value that no body can have.

@@ -60,7 +60,7 @@ class ViscousFriction(AbstractFriction):
         """Make the law.
 
         Args:
-            coefficient: c [N s/m], zero or more.
+            coefficient: Force over slip [N s/m], 0 or more.
 
         Raises:
             FieldError: not such a number.
@@ -100,8 +100,8 @@ class CoulombFriction(AbstractFriction):
         """Make the law.
 
         Args:
-            coefficient: mu [1], zero or more.
-            regularization: eps [m/s], positive.
+            coefficient: Force over normal force [1], 0 or more.
+            regularization: A speed below which dry friction fades [m/s], positive.
 
         Raises:
             FieldError: not such numbers.
@@ -148,11 +148,11 @@ class StribeckFriction(AbstractFriction):
         """Make the law.
 
         Args:
-            static: mu_s [1], zero or more.
-            kinetic: mu_k [1], zero or more.
-            speed: v_s [m/s], positive.
-            viscous: c [N s/m], zero or more.
-            regularization: eps [m/s], positive.
+            static: The coefficient at rest [1], 0 or more.
+            kinetic: The coefficient of fast slips [1], 0 or more.
+            speed: The speed between both [m/s], positive.
+            viscous: A viscous part, force over slip [N s/m], 0 or more.
+            regularization: A speed below which dry friction fades [m/s], positive.
 
         Raises:
             FieldError: not such numbers.

@@ -83,7 +83,7 @@ class Gravity(AbstractLoad):
         """Make a uniform field.
 
         Args:
-            acceleration: [m/s^2], fixed axes, shape (3,).
+            acceleration: Three components in the fixed axes [m/s^2].
 
         Raises:
             FieldError: not three finite numbers.
@@ -284,10 +284,10 @@ class Drag(AbstractLoad):
         """Make a drag.
 
         Args:
-            linear: c1 [N s/m], zero or more.
-            quadratic: c2 [N s^2/m^2], zero or more.
-            angular: c_w [N m s], zero or more.
-            point: Material point of the body where it acts [m], body axes.
+            linear: Force over speed [N s/m]. Zero or more.
+            quadratic: Force over the square of the speed [N s^2/m^2]. Zero or more.
+            angular: Moment over angular velocity [N m s]. Zero or more.
+            point: The point of the body on which it acts, body axes [m].
 
         Raises:
             FieldError: negative coefficients, or no numbers.

@@ -36,10 +36,10 @@ class _Resistance(AbstractLoad):
         """Make a resistance; a part that is left out is no part of the program.
 
         Args:
-            viscous: c [N m s], zero or more; None for none.
-            dry: f [m], zero or more: an arm of the normal force; None for none.
-            regularization: [rad/s], positive: the dry part is ``-f N Om /
-                sqrt(Om^2 + eps^2)``.
+            viscous: Moment over angular velocity [N m s], 0 or more. None for none.
+            dry: The arm of the normal force [m], 0 or more. None for none.
+            regularization: An angular velocity below which the dry part fades [rad/s],
+                positive. It is ``-f N Om / sqrt(Om^2 + eps^2)``.
 
         Raises:
             FieldError: negative coefficients, or no numbers.

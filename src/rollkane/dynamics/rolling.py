@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import dot, matvec, matvec_transposed
 from ..kinematics.contact import Contact, body_to_base
-from ..kinematics.coordinates import SlidingState
+from ..kinematics.coordinates import Pair, SlidingState
 from ..kinematics.voronets import AnyState, VoronetsState
 from .contact_laws import Solution, accelerations, momentum_rate
 from .mass_matrix import assemble
@@ -39,7 +39,7 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
     """
     body, base, motion = scene.body.surface, scene.base.surface, scene.base.motion
     moving = lambda: None if motion is None else motion.at(t)
-    return state.contact(body, base, moving, scene.contact.without_spin)
+    return state.contact(Pair(body, base, moving, scene.contact.without_spin))
 
 
 def watches_headings(scene: Scene) -> bool:

@@ -200,8 +200,8 @@ class SupportedBody(_Driven):
         """Make a carried body.
 
         Args:
-            mass: [kg], positive.
-            inertia: Tensor about its own mass centre, its own axes [kg m^2], (3, 3).
+            mass: The mass [kg], positive.
+            inertia: The 3 x 3 tensor about its own mass centre, its own axes [kg m^2].
             position: ``position(alpha)`` (then parameters) -> its mass centre [m],
                 (3,), from the rolling body's origin, body axes.
             rotation: ``rotation(alpha)`` (then parameters) -> (3, 3), the rotation from

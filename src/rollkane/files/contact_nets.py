@@ -13,6 +13,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
+from ..geometry.numpy_rotations import rotated
 from ..identification.body_sensors import Gyro
 from ..identification.records import Record
 from ..identification.sensors import Orientation, Position
@@ -48,12 +49,10 @@ class Toss(NamedTuple):
 
         Until a corner of the cube comes as low as the ground.
         """
-        w, v = self.orientation[:, :1], self.orientation[:, 1:]
         corners = HALF_WIDTH * np.array(
             [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float
         )
-        across = np.cross(v[:, None], corners[None]) + w[:, None] * corners
-        turned = corners + 2.0 * np.cross(v[:, None], across)
+        turned = rotated(self.orientation[:, None], corners)
         lowest = self.position[:, 2] + turned[..., 2].min(axis=1)
         landed = np.flatnonzero(lowest <= 0.0)
         end = landed[0] if landed.size else self.time.size

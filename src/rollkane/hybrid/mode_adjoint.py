@@ -12,9 +12,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..codegen.tableau import stage_sum
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
-from .mode_rates import Seen, mixed, plain_cond
+from .mode_rates import Seen, plain_cond
 from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed
 from .modes import HybridState, ModedState, Switches
 from .transitions import Motion
@@ -214,7 +215,7 @@ class _Stages(NamedTuple):
         def one(carry: _BackStages) -> _BackStages:
             i, of_rates, total, (of_t, of_start, of_direction), of_ends = carry
             weights, node = tableau.rows[i], tableau.nodes[i]
-            way = mixed(self.known, weights)
+            way = stage_sum(weights, self.known)
             time = jnp.where(i == last, self.ends, t + node * h)
             at_end: _Of = lambda x: jnp.where(i == last, x, 0.0)
             cotangent = of_rates[i], jax.tree.map(at_end, of_last)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen.tableau import Tableau
+from ..codegen.tableau import Tableau, stage_sum
 from ..dynamics.directed_friction import begins
 from ..dynamics.gap import nearest_anywhere
 from ..dynamics.rolling import (
@@ -17,7 +17,7 @@ from ..dynamics.rolling import (
     rolling_derivative,
     slipping_rates,
 )
-from ..geometry.small_linear import dot, matvec
+from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, cubic, stays_positive
 from .modes import HybridState, Mode, Modes, Scenes, of, slipping
@@ -123,7 +123,7 @@ class ModeRates(eqx.Module):
     ) -> Step:
         """A step from t to t1; see :meth:`stages`."""
         known, end, seen, last = self.stages(mode, direction, t, t1, y, watched)
-        error = (t1 - t) * mixed(known, self.tableau.error)
+        error = (t1 - t) * stage_sum(self.tableau.error, known)
         values, end = self.with_gap(mode, t1, unpack(end, y), last.values)
         return Step(end, error, known, values, seen, last.way, last.turn)
 
@@ -150,7 +150,7 @@ class ModeRates(eqx.Module):
 
         def look(carry: _Look) -> _Look:
             number, known, end, seen, last = carry
-            at = start + h * mixed(known, weights[number])
+            at = start + h * stage_sum(weights[number], known)
             time = jnp.where(number == count - 1, t1, t + nodes[number] * h)
             rates, now = self.at(mode, direction, time, unpack(at, y))
             is_stage = number < count
@@ -293,13 +293,6 @@ class ModeRates(eqx.Module):
 def _nothing_seen(direction: Float[Array, "3"], t: Float[Array, ""]) -> Seen:
     """Of a contact that is not there."""
     return Seen(jnp.ones(2, t.dtype), jnp.zeros_like(direction), jnp.zeros_like(t))
-
-
-def mixed(
-    rates: Float[Array, "s n"], weights: Float[Array, " s"]
-) -> Float[Array, " n"]:
-    """A sum over the stages of a step: ``sum_j w_j k_j``."""
-    return matvec(rates.T, weights)
 
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:

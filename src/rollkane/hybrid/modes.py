@@ -66,18 +66,18 @@ class Modes(eqx.Module):
         """Make a choice.
 
         Args:
-            friction: Coefficient of sliding friction [1], zero or more; None: the body
-                never slips.
-            static_friction: Of sticking [1], that of sliding or more; the same when
-                left out.
+            friction: The coefficient of sliding friction [1], 0 or more; left out, the
+                body never slips.
+            static_friction: That of sticking [1], friction or more; left out, the same.
             lifts: Whether the contact ends where it would have to pull.
-            restitution: Of a landing [1], from 0 to 1: none can give energy; None:
-                nothing lands.
-            rest_speed: Rebounds slower than this stay in contact [m/s], positive: so
-                ever smaller ones come to their end.
-            switches: How many changes are kept; a run with more ends.
-            impact: What the restitution is of. ``"energetic"`` (Stronge): its square is
-                the share of the work of compression that is given back; sliding and
+            restitution: That of a landing [1], from 0 to 1; left out, nothing lands.
+                None can give energy.
+            rest_speed: The speed below which a rebound stays in contact [m/s],
+                positive. So ever smaller ones come to their end.
+            switches: How many changes are kept, 1 or more. A run with more ends.
+            impact: What the restitution is of: the energy of compression, or the normal
+                velocity. ``"energetic"`` (Stronge): its square is the share of the work
+                of compression that is given back; sliding and
                 sticking follow the growing impulse (Routh), which pushes, lies in the
                 friction cone and takes energy whatever the body. ``"newton"``: the
                 ratio of the normal velocities, friction acting along the slip before

@@ -18,7 +18,7 @@ from ..dynamics.observables import energy, kinetic_energy
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
-from .step_control import Number
+from .controller_interface import Number
 
 # What a step of a diffrax solver gives: its end, the error, what interpolates, memory.
 _Step: TypeAlias = tuple[Array, Array | None, dict[str, Any], Any, dfx.RESULTS]

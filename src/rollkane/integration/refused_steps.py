@@ -12,13 +12,21 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .step_control import Adapted, Number, Sense
+from .controller_interface import (
+    AbstractAround,
+    AbstractController,
+    Adapted,
+    Number,
+    RunStart,
+    Sense,
+    TriedStep,
+)
 
 # ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
 Holds: TypeAlias = Callable[[Any, Number, Array, Number, Array], Array]
 
 
-class _Refusing(eqx.Module):
+class _Refusing(AbstractController):
     """A controller of which some steps are refused: tried again, shorter.
 
     Where even the shortest is refused, or the controller cannot shorten it, the run
@@ -40,37 +48,19 @@ class _Refusing(eqx.Module):
         parts = cast(Any, self.controller).wrap(direction), direction
         return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
 
-    def init(
-        self,
-        terms: Any,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        dt0: Any,
-        args: Any,
-        func: Callable[..., Any],
-        error_order: Number | None,
-    ) -> tuple[Number, Any]:
+    def first_step(self, start: RunStart) -> tuple[Number, Any]:
         """As the controller."""
-        return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        return self.controller.init(*start)
 
-    def adapt_step_size(
-        self,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        y1_candidate: Any,
-        args: Any,
-        y_error: Any,
-        error_order: Number,
-        controller_state: Any,
-    ) -> Adapted:
+    def adapted(self, step: TriedStep) -> Adapted:
         """As the controller, to which a refused step has a large error."""
-        holds = self.holds(args, t0 * self.sense, y0, t1 * self.sense, y1_candidate)
-        if y_error is not None:
-            y_error = jnp.where(holds, y_error, jnp.asarray(jnp.inf, y_error.dtype))
+        t0, t1, error = step.t0, step.t1, step.y_error
+        begin, end = t0 * self.sense, t1 * self.sense
+        holds = self.holds(step.args, begin, step.y0, end, step.y1_candidate)
+        if error is not None:
+            error = jnp.where(holds, error, jnp.asarray(jnp.inf, error.dtype))
         keep, next_t0, next_t1, jump, memory, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+            *step._replace(y_error=error)
         )
         stuck = keep & ~holds
         # the run ends where its state is, not at the end of what was refused
@@ -79,24 +69,8 @@ class _Refusing(eqx.Module):
         return keep & holds, next_t0, next_t1, jump, memory, result
 
 
-class _RefusingFixed(_Refusing, dfx.AbstractStepSizeController[Any, Any]):
-    pass
-
-
-class _RefusingAdaptive(_Refusing, dfx.AbstractAdaptiveStepSizeController[Any, Any]):
+class _RefusingAdaptive(_Refusing, AbstractAround):
     """With the controller's tolerances, to which implicit methods solve."""
-
-    @property
-    def rtol(self) -> Number:
-        return cast(Any, self.controller).rtol
-
-    @property
-    def atol(self) -> Number:
-        return cast(Any, self.controller).atol
-
-    @property
-    def norm(self) -> Callable[[Any], Number]:
-        return cast(Any, self.controller).norm
 
 
 def refusing(
@@ -111,4 +85,4 @@ def refusing(
     if isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
         # its tolerances are the controller's, which diffrax declares as fields
         return _RefusingAdaptive(controller, holds)  # pyright: ignore[reportCallIssue]
-    return _RefusingFixed(controller, holds)
+    return _Refusing(controller, holds)

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop
 from ..codegen.scalar_program import NotElementwiseError
-from ..codegen.tableau import Weights
+from ..codegen.tableau import Weights, stage_sum
 from .recorded_steps import Steps, most
 
 _Carry = TypeVar("_Carry")
@@ -149,7 +149,7 @@ def _stepped(field: _Field, stages: _Stages, state: Any) -> Any:
     """Behind a step."""
 
     def moved(y: Array, k: Array) -> Array:
-        return y + _mixed(stages.weights[-1], k)
+        return y + stage_sum(stages.weights[-1], k)
 
     return jax.tree.map(moved, state, _rates(field, stages, state))
 
@@ -162,7 +162,7 @@ def _rates(field: _Field, stages: _Stages, state: Any) -> Any:
         row = stages.weights[m]
 
         def moved(y: Array, k: Array) -> Array:
-            return y + _mixed(row, k)
+            return y + stage_sum(row, k)
 
         def put(k: Array, f: Array) -> Array:
             return k.at[m].set(f)
@@ -176,12 +176,6 @@ def _rates(field: _Field, stages: _Stages, state: Any) -> Any:
 
     none = jax.tree.map(empty, state)
     return cast(Any, jax.lax.fori_loop(0, count, stage, none))
-
-
-def _mixed(weights: Float[Array, " s"], rates: Array) -> Array:
-    """A sum over stages; a product of matrices would be a call to a library."""
-    spread = weights.reshape(-1, *[1] * (rates.ndim - 1))
-    return jnp.sum(spread * rates, axis=0)
 
 
 def pull(
@@ -243,7 +237,7 @@ def _pulled(
             y, states, rates = carry
             stages = run.stages(steps, first + j)
             found = _rates(field, stages, y)
-            ahead = y + _mixed(stages.weights[-1], found)
+            ahead = y + stage_sum(stages.weights[-1], found)
             return ahead, states.at[j].set(y), rates.at[j].set(found)
 
         size = last_cotangent.shape
@@ -302,10 +296,10 @@ def _pulled_step(
         found, of_varied = carry
         m = count - 1 - n
         t = stages.times[m]
-        cotangents = stages.weights[-1, m] * back + _mixed(
+        cotangents = stages.weights[-1, m] * back + stage_sum(
             stages.weights[:-1, m], found
         )
-        place = y + _mixed(stages.weights[m], rates)
+        place = y + stage_sum(stages.weights[m], rates)
         function = functools.partial(run.rates, t)
         through = cast(_Pull, jax.vjp(function, place, *run.varied)[1])
         g, *own = through(cotangents)

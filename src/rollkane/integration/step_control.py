@@ -6,7 +6,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, NamedTuple, cast
 
 import diffrax as dfx
 import equinox as eqx
@@ -17,14 +17,17 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import norm
 from ..validation.checks import is_traced
+from .controller_interface import (
+    AbstractAround,
+    AbstractController,
+    Adapted,
+    Number,
+    RunStart,
+    Sense,
+    TriedStep,
+    Truth,
+)
 
-# What diffrax takes for a time, a length of one, or a tolerance.
-Number: TypeAlias = float | Array | np.ndarray
-# Direction of time: 1 or -1.
-Sense: TypeAlias = int | Array | np.ndarray
-_Truth: TypeAlias = bool | Array | np.ndarray
-# Whether a step stands, ends of the next, whether behind a jump, memory, result.
-Adapted: TypeAlias = tuple[_Truth, Number, Number, _Truth, Any, dfx.RESULTS]
 # Bytes of times that are not remembered: 256 of them are 16 MB at most.
 _MANY = 2**16
 
@@ -117,7 +120,7 @@ def clock_step(times: Any, library: Any = jnp) -> Any:
     return 100 * np.finfo(times.dtype).eps * library.max(library.abs(times))
 
 
-class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
+class LandOn(AbstractAround):
     """Adaptive steps that end exactly on every output time.
 
     An output is then as accurate as the steps (diffrax's interpolants are of order 4
@@ -133,21 +136,6 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     controller: dfx.PIDController
     landings: Landings
 
-    @property
-    def rtol(self) -> Number:
-        """Of the controller; implicit methods solve to it."""
-        return self.controller.rtol
-
-    @property
-    def atol(self) -> Number:
-        """Of the controller."""
-        return self.controller.atol
-
-    @property
-    def norm(self) -> Callable[[Any], Number]:
-        """Of the controller."""
-        return cast(Any, self.controller).norm
-
     def wrap(self, direction: Sense) -> "LandOn":
         """The controller for the direction of time in which diffrax works."""
 
@@ -158,24 +146,12 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
         parts = self.controller.wrap(direction), landings
         return eqx.tree_at(lambda c: (c.controller, c.landings), self, parts)
 
-    def init(
-        self,
-        terms: Any,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        dt0: Any,
-        args: Any,
-        func: Callable[..., Any],
-        error_order: Number | None,
-    ) -> tuple[Number, Any]:
-        """First step, and the state: controller, next output, step wanted before."""
-        t_next, inner = self.controller.init(
-            terms, t0, t1, y0, dt0, args, func, error_order
-        )
-        wanted = t_next - t0
-        index = self.landings.following(t0)
-        first = self._towards(self.landings.ends[index], t0, wanted)
+    def first_step(self, start: RunStart) -> tuple[Number, Any]:
+        """First step, and the memory: controller, next output, step wanted before."""
+        t_next, inner = self.controller.init(*start)
+        wanted = t_next - start.t0
+        index = self.landings.following(start.t0)
+        first = self._towards(self.landings.ends[index], start.t0, wanted)
         return first, (inner, index, wanted)
 
     def _towards(self, goal: Array, t: Number, dt: Number) -> Float[Array, ""]:
@@ -183,21 +159,12 @@ class LandOn(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
         halved = jnp.where(dt > 0.5 * left, t + 0.5 * left, t + dt)
         return jnp.where(dt >= 0.999 * left, goal, halved)
 
-    def adapt_step_size(
-        self,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        y1_candidate: Any,
-        args: Any,
-        y_error: Any,
-        error_order: Number,
-        controller_state: Any,
-    ) -> Adapted:
+    def adapted(self, step: TriedStep) -> Adapted:
         """Next step: the controller's, or the one wanted before the landing."""
-        inner, index, wanted = controller_state
+        t0, t1 = step.t0, step.t1
+        inner, index, wanted = step.controller_state
         keep, next_t0, next_t1, jump, inner, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, inner
+            *step._replace(controller_state=inner)
         )
         proposed = next_t1 - next_t0
         shortened = (t1 - t0) < 0.999 * wanted
@@ -270,7 +237,7 @@ def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, "
     return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
 
 
-class ReplaySteps(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
+class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     """Steps from recorded times, all accepted; like ``diffrax.StepTo``, but padded.
 
     Attributes:
@@ -301,48 +268,27 @@ class ReplaySteps(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
 
         return eqx.tree_at(times, self, jax.tree.map(turned, times(self)))
 
-    def _end(self, index: int | Int[Array, ""]) -> tuple[Float[Array, ""], _Truth]:
+    def _end(self, index: int | Int[Array, ""]) -> tuple[Float[Array, ""], Truth]:
         """Where the step ends whose successor is recorded; whether at a jump."""
         start = self.times[index]
         return (start, False) if self.jumps is None else end_before(start, self.jumps)
 
-    def init(
-        self,
-        terms: Any,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        dt0: Any,
-        args: Any,
-        func: Callable[..., Any],
-        error_order: Number | None,
-    ) -> tuple[Number, Any]:
+    def first_step(self, start: RunStart) -> tuple[Number, Any]:
         """First recorded step."""
-        del terms, t0, y0, dt0, args, func, error_order
-        return jnp.minimum(self._end(1)[0], t1), 1
+        return jnp.minimum(self._end(1)[0], start.t1), 1
 
-    def adapt_step_size(
-        self,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        y1_candidate: Any,
-        args: Any,
-        y_error: Any,
-        error_order: Number,
-        controller_state: Any,
-    ) -> Adapted:
+    def adapted(self, step: TriedStep) -> Adapted:
         """Next recorded step; the run ends where its record does."""
-        del t0, y0, y1_candidate, args, y_error, error_order
-        _, jumped = self._end(controller_state)
-        start = t1 if self.jumps is None else self.times[controller_state]
-        following, _ = self._end(controller_state + 1)
+        t1, number = step.t1, step.controller_state
+        _, jumped = self._end(number)
+        start = t1 if self.jumps is None else self.times[number]
+        following, _ = self._end(number + 1)
         recorded = jnp.isfinite(following)
         result = dfx.RESULTS.where(
             recorded, dfx.RESULTS.successful, dfx.RESULTS.max_steps_reached
         )
         following = jnp.where(recorded, following, t1)
-        return True, start, following, jumped, controller_state + 1, result
+        return True, start, following, jumped, number + 1, result
 
 
 def first_step(

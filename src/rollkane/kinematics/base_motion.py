@@ -294,11 +294,13 @@ class Spin(AbstractBaseMotion):
         """Make a turntable.
 
         Args:
-            rate: [rad/s], positive from the base's x axis to its y axis.
+            rate: The angular velocity [rad/s]. Positive from the base's x axis to its y
+                axis.
             orientation: Quaternion of the base axes at t = 0, scalar first, base to
                 fixed axes [1], shape (4,): a tilted turntable turns about its own
                 tilted axis. Left out, they agree with the fixed axes at t = 0.
-            position: Base origin [m], fixed axes, shape (3,); left out, the origin.
+            position: Three lengths: the base origin in fixed axes [m]. Left out, the
+                fixed origin.
 
         Raises:
             FieldError: numbers of another shape, a quaternion of length zero.

@@ -5,9 +5,10 @@ by coordinates without poles. There are more numbers than degrees of freedom, bu
 pose is an output of the contact, so none of the spare ones can open a gap.
 """
 
+import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import equinox as eqx
 import jax
@@ -21,7 +22,72 @@ from .base_motion import BaseKinematics
 from .contact import Contact, flight, rolling_contact
 
 
-class State(eqx.Module):
+class Accelerations(NamedTuple):
+    """What the forces determine of a motion, on BODY axes.
+
+    Attributes:
+        angular: ``w'`` [rad/s^2].
+        alpha: ``alpha''`` [unit of alpha / s^2], shape (n,).
+        point: Of a body that slips, of its point at the contact along the surface; in
+            flight, of its origin [m/s^2]; None: it rolls.
+    """
+
+    angular: Float[Array, "3"]
+    alpha: Float[Array, " n"]
+    point: Float[Array, "3"] | None
+
+
+class Pair(NamedTuple):
+    """Two surfaces, and how they may move over each other.
+
+    Attributes:
+        body: The body's surface.
+        base: The base's.
+        moving: Gives how the base moves; None: it is at rest.
+        without_spin: Whether the body does not turn about the normal.
+    """
+
+    body: AbstractSurface
+    base: AbstractSurface
+    moving: Callable[[], BaseKinematics | None]
+    without_spin: bool
+
+
+class AbstractState(eqx.Module):
+    """Coordinates and velocities of a body, of one kind."""
+
+    touches: ClassVar[bool] = True  # its body is in contact
+    slips: ClassVar[bool] = False
+    in_charts: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def contact(self, pair: Pair) -> Contact:
+        """Its contact, or what stands for one."""
+
+    def rates(
+        self,
+        contact: Contact,
+        angular_acceleration: Float[Array, "3"],
+        alpha_ddot: Float[Array, " n"],
+        point_acceleration: Float[Array, "3"] | None = None,
+    ) -> Self:
+        """Rates of every number of a state, as a state.
+
+        Args:
+            contact: Its contact, with the rates of the contact coordinates.
+            angular_acceleration: ``w'``, BODY axes [rad/s^2].
+            alpha_ddot: [unit of alpha / s^2].
+            point_acceleration: As ``point`` of :class:`Accelerations`.
+        """
+        known = angular_acceleration, alpha_ddot, point_acceleration
+        return self._rates(contact, Accelerations(*known))
+
+    @abc.abstractmethod
+    def _rates(self, contact: Contact, known: Accelerations) -> Self:
+        """Rates of every number, from the accelerations."""
+
+
+class State(AbstractState):
     """State of a rolling body in pole-free coordinates.
 
     Attributes:
@@ -42,79 +108,47 @@ class State(eqx.Module):
     alpha: Float[Array, " n"]
     alpha_dot: Float[Array, " n"]
 
-    touches: ClassVar[bool] = True  # its body is in contact
-    slips: ClassVar[bool] = False
-    in_charts: ClassVar[bool] = False
+    def contact(self, pair: Pair) -> Contact:
+        """Its contact."""
+        return self._contact(pair, None)
 
-    def contact(
-        self,
-        body: AbstractSurface,
-        base: AbstractSurface,
-        moving: Callable[[], BaseKinematics | None],
-        without_spin: bool,
-    ) -> Contact:
-        """Its contact.
-
-        Args:
-            body: The body's surface.
-            base: The base's.
-            moving: Gives how the base moves; None: it is at rest.
-            without_spin: Whether the body does not turn about the normal.
-        """
-        return self._contact(body, base, moving(), None, without_spin)
-
-    def _contact(
-        self,
-        body: AbstractSurface,
-        base: AbstractSurface,
-        moving: BaseKinematics | None,
-        slip: Float[Array, "3"] | None,
-        without_spin: bool,
-    ) -> Contact:
+    def _contact(self, pair: Pair, slip: Float[Array, "3"] | None) -> Contact:
         return rolling_contact(
-            body,
-            base,
+            pair.body,
+            pair.base,
             self.orientation,
             self.angular_velocity,
             self.contact_on_base,
             self.contact_on_body,
-            moving,
+            pair.moving(),
             slip,
-            without_spin=without_spin,
+            without_spin=pair.without_spin,
         )
 
-    def rates(
-        self,
-        contact: Contact,
-        angular_acceleration: Float[Array, "3"],
-        alpha_ddot: Float[Array, " n"],
-        point_acceleration: Float[Array, "3"] | None = None,
-    ) -> "State":
-        """Rates of every number of a state, as a state.
-
-        Args:
-            contact: Its contact, with the rates of the contact coordinates.
-            angular_acceleration: ``w'``, BODY axes [rad/s^2].
-            alpha_ddot: [unit of alpha / s^2].
-            point_acceleration: None; a state that slips or flies has one.
+    def _rates(self, contact: Contact, known: Accelerations) -> Self:
+        """Rates of a state that rolls.
 
         What of the state's velocities the contact does not allow, and so leaves out,
         goes along with the normal, so that it stays out.
         """
-        del point_acceleration
+        return type(self)(**self._turning(contact, known))
+
+    def _turning(self, contact: Contact, known: Accelerations) -> dict[str, Any]:
+        """Rates of what every kind has, by name."""
+        angular_acceleration = known.angular
         if contact.spare_spin is not None:
             N, w = contact.normal, contact.angular_velocity
             assert contact.normal_rate is not None
             along = contact.spare_spin * (contact.normal_rate - cross(w, N))
             angular_acceleration = angular_acceleration + along
-        return State(
-            orientation=quaternion_rates(self.orientation, contact.angular_velocity),
-            angular_velocity=angular_acceleration,
-            contact_on_base=contact.base_rates,
-            contact_on_body=contact.body_rates,
-            alpha=self.alpha_dot,
-            alpha_dot=alpha_ddot,
-        )
+        return {
+            "orientation": quaternion_rates(self.orientation, contact.angular_velocity),
+            "angular_velocity": angular_acceleration,
+            "contact_on_base": contact.base_rates,
+            "contact_on_body": contact.body_rates,
+            "alpha": self.alpha_dot,
+            "alpha_dot": known.alpha,
+        }
 
 
 def shared_parts(state: State) -> dict[str, Any]:
@@ -140,43 +174,24 @@ class SlidingState(State):
 
     slips: ClassVar[bool] = True
 
-    def contact(
-        self,
-        body: AbstractSurface,
-        base: AbstractSurface,
-        moving: Callable[[], BaseKinematics | None],
-        without_spin: bool,
-    ) -> Contact:
-        """Its contact; see :meth:`State.contact`."""
-        return self._contact(body, base, moving(), self.slip, without_spin)
+    def contact(self, pair: Pair) -> Contact:
+        """Its contact."""
+        return self._contact(pair, self.slip)
 
-    def rates(
-        self,
-        contact: Contact,
-        angular_acceleration: Float[Array, "3"],
-        alpha_ddot: Float[Array, " n"],
-        point_acceleration: Float[Array, "3"] | None = None,
-    ) -> "SlidingState":
-        """Rates of every number of a state, as a state.
-
-        Args:
-            contact: Its contact, with the rates of the contact coordinates.
-            angular_acceleration: ``w'``, BODY axes [rad/s^2].
-            alpha_ddot: [unit of alpha / s^2].
-            point_acceleration: Along the surface, BODY axes [m/s^2].
+    def _rates(self, contact: Contact, known: Accelerations) -> Self:
+        """Rates of a state that slips.
 
         Source: docs/theory.md, (7.2); the slip stays on the surface as it turns.
         """
-        rolling = super().rates(contact, angular_acceleration, alpha_ddot)
         slip, rate = contact.slip, contact.normal_rate
         assert slip is not None
         assert rate is not None
-        assert point_acceleration is not None
-        change = point_acceleration - contact.normal * dot(slip, rate)
+        assert known.point is not None
+        change = known.point - contact.normal * dot(slip, rate)
         assert contact.spare_slip is not None
         change = change + contact.spare_slip * rate
         moved = matvec(contact.rotation, change)
-        return SlidingState(**shared_parts(rolling), slip=moved)
+        return type(self)(**self._turning(contact, known), slip=moved)
 
 
 class FlyingState(State):
@@ -198,43 +213,23 @@ class FlyingState(State):
 
     touches: ClassVar[bool] = False
 
-    def contact(
-        self,
-        body: AbstractSurface,
-        base: AbstractSurface,
-        moving: Callable[[], BaseKinematics | None],
-        without_spin: bool,
-    ) -> Contact:
+    def contact(self, pair: Pair) -> Contact:
         """What stands for a contact: its point is the body origin."""
-        del body, base, moving, without_spin
+        del pair
         where = self.orientation, self.angular_velocity, self.position, self.velocity
         return flight(*where)
 
-    def rates(
-        self,
-        contact: Contact,
-        angular_acceleration: Float[Array, "3"],
-        alpha_ddot: Float[Array, " n"],
-        point_acceleration: Float[Array, "3"] | None = None,
-    ) -> "FlyingState":
-        """Rates of every number of a state, as a state.
-
-        Args:
-            contact: What stands for a contact: its point is the body origin.
-            angular_acceleration: ``w'``, BODY axes [rad/s^2].
-            alpha_ddot: [unit of alpha / s^2].
-            point_acceleration: Of the body origin, BODY axes [m/s^2].
-        """
-        turning = super().rates(contact, angular_acceleration, alpha_ddot)
-        assert point_acceleration is not None
+    def _rates(self, contact: Contact, known: Accelerations) -> Self:
+        """Rates of a state in flight."""
+        assert known.point is not None
         still = {
             "contact_on_base": jnp.zeros_like(self.contact_on_base),
             "contact_on_body": jnp.zeros_like(self.contact_on_body),
         }
-        return FlyingState(
-            **(shared_parts(turning) | still),
+        return type(self)(
+            **(self._turning(contact, known) | still),
             position=self.velocity,
-            velocity=matvec(contact.rotation, point_acceleration),
+            velocity=matvec(contact.rotation, known.point),
         )
 
 

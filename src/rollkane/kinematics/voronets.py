@@ -5,8 +5,7 @@ constrained motion has, in any regular charts; near the edge of a chart they end
 mechanics is that of every other coordinate system: only the contact is described here.
 """
 
-from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,14 +25,14 @@ from ..geometry.small_linear import (
 from ..geometry.surfaces import AbstractSurface
 from .base_motion import BaseKinematics
 from .contact import Contact, within
-from .coordinates import State
+from .coordinates import AbstractState, Accelerations, Pair, State
 
 # Regularity of a chart (1 at its best) below which it has come to its edge: there the
 # rates grow as 1/regularity, and 1e-3 leaves three quarters of the digits.
 CHART_EDGE = 1e-3
 
 
-class VoronetsState(eqx.Module):
+class VoronetsState(AbstractState):
     """State of a rolling body in Voronets coordinates.
 
     Attributes:
@@ -57,50 +56,28 @@ class VoronetsState(eqx.Module):
     alpha_dot: Float[Array, " n"]
     sign: int = eqx.field(static=True, default=-1)
 
-    touches: ClassVar[bool] = True
-    slips: ClassVar[bool] = False
     in_charts: ClassVar[bool] = True
 
-    def contact(
-        self,
-        body: AbstractSurface,
-        base: AbstractSurface,
-        moving: Callable[[], BaseKinematics | None],
-        without_spin: bool,
-    ) -> "ChartContact":
-        """Its contact; see :meth:`rollkane.State.contact`."""
-        del without_spin
-        return chart_contact(body, base, self, moving())
+    def contact(self, pair: Pair) -> "ChartContact":
+        """Its contact."""
+        return chart_contact(pair.body, pair.base, self, pair.moving())
 
-    def rates(
-        self,
-        contact: Contact,
-        angular_acceleration: Float[Array, "3"],
-        alpha_ddot: Float[Array, " n"],
-        point_acceleration: Float[Array, "3"] | None = None,
-    ) -> "VoronetsState":
-        """Rates of every number of a state, as a state; NaN at the edge of a chart.
-
-        Args:
-            contact: Its contact, with the rates of the chart coordinates.
-            angular_acceleration: ``w'``, BODY axes [rad/s^2].
-            alpha_ddot: [unit of alpha / s^2].
-            point_acceleration: None: it rolls.
+    def _rates(self, contact: Contact, known: Accelerations) -> Self:
+        """Rates of a state that rolls; NaN at the edge of a chart.
 
         Source: docs/theory.md, (5.1), ``(sigma', tau', n') = w'|e - (w - w_1) x w``.
         """
-        del point_acceleration
         assert isinstance(contact, ChartContact)
         w_1 = contact.frame_turn
-        on_frame = matvec_transposed(contact.shell.frame, angular_acceleration)
+        on_frame = matvec_transposed(contact.shell.frame, known.angular)
         inside = contact.regularity > CHART_EDGE
-        return VoronetsState(
+        return type(self)(
             contact_on_body=jnp.where(inside, contact.body_rates, jnp.nan),
             contact_on_base=contact.base_rates,
             angle=contact.angle_rate,
             angular_velocity=on_frame + cross(w_1, self.angular_velocity),
             alpha=self.alpha_dot,
-            alpha_dot=alpha_ddot,
+            alpha_dot=known.alpha,
             sign=self.sign,
         )
 

@@ -15,6 +15,7 @@ from ..dynamics.observables import energy, kept_energy, moving_energy
 from ..dynamics.rolling import contact_force, contact_of
 from ..dynamics.scene import Scene
 from ..dynamics.supported import SupportedBody
+from ..geometry.numpy_rotations import rotated
 from ..geometry.rotations import in_one_sense, quaternion_of
 from ..geometry.small_linear import cross, matvec, norm
 from ..kinematics.base_motion import BaseKinematics
@@ -110,12 +111,7 @@ class MotionSamples(NamedTuple):
     @property
     def contact(self) -> np.ndarray:
         """Contact point [m], FIXED axes, shape (T, 3)."""
-        scalar, vector = self.base_orientation[:, :1], self.base_orientation[:, 1:]
-        point = self.contact_on_base
-        turned = point + 2.0 * np.cross(
-            vector, np.cross(vector, point) + scalar * point
-        )
-        return self.base_origin + turned
+        return self.base_origin + rotated(self.base_orientation, self.contact_on_base)
 
     @property
     def normal_force(self) -> np.ndarray:

@@ -35,7 +35,7 @@ from .run_checks import check_span, check_start
 from .trajectory import Trajectory
 
 # what a block's states may take [bytes]
-_ROOM = 2**25
+_MEMORY = 2**25
 _MOST_IN_BLOCK = 8192
 
 Observable = Callable[[Scene, Float[Array, ""], State], Any]
@@ -218,7 +218,7 @@ class _Run:
 
     def _size(self, block: int | None) -> int:
         numbers = sum(x.size for x in jax.tree.leaves(self.example[1]))
-        fitting = _ROOM // (8 * max(numbers, 1) * self.times.shape[0])
+        fitting = _MEMORY // (8 * max(numbers, 1) * self.times.shape[0])
         # small enough that every processor has some
         fair = -(-self.members.size // _processors())
         default = max(min(_MOST_IN_BLOCK, fitting, fair), 1)

@@ -24,6 +24,7 @@ from ..codegen.tableau import weights_of
 from ..dynamics.observables import energy, kept_energy, moving_energy
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
+from ..geometry.numpy_rotations import product
 from ..geometry.rotations import quaternion_of
 from ..geometry.small_linear import norm
 from ..kinematics.coordinates import State
@@ -326,9 +327,8 @@ def _pose(scene: Scene, t: Any, state: Any) -> tuple[Any, Any, Any]:
 
 def _differences(a: _End, b: _End) -> tuple[float, float, float]:
     """Of positions [m], orientations [rad] and carried coordinates."""
-    (p, *v), (q, *w) = a.orientation, b.orientation
-    vector = p * np.array(w) - q * np.array(v) - np.cross(v, w)
-    angle = 2.0 * np.arctan2(np.linalg.norm(vector), abs(p * q + np.dot(v, w)))
+    between = product(a.orientation * [1.0, -1.0, -1.0, -1.0], b.orientation)
+    angle = 2.0 * np.arctan2(np.linalg.norm(between[1:]), abs(between[0]))
     carried = np.abs(a.alpha - b.alpha)
     return (
         float(np.linalg.norm(a.position - b.position)),

@@ -5,48 +5,26 @@ all bad fields of all parts are known at once.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
+from pydantic.fields import FieldInfo
 
+from ...geometry.numpy_rotations import product
 from ...validation.checks import FieldError
+from .derived_tables import DerivedTable
 from .positions import Path
 from .problems import Report
 
-# Unobjectionable values for fields that were refused.
-STAND_INS = {
-    "mass": 1.0,
-    "center_of_mass": (0.0, 0.0, 0.0),
-    "inertia": np.eye(3),
-    "radius": 1.0,
-    "center": (0.0, 0.0, 0.0),
-    "semi_axes": (1.0, 1.0, 1.0),
-    "major_radius": 1e30,  # above any tube, so that the tube is judged alone
+# Where a default, or a one, would not do: a tube above any radius, so that the other
+# is judged alone; a friction that any other may go with.
+_STAND_INS = {
+    "major_radius": 1e30,
     "minor_radius": 1e-30,
-    "slope": 1.0,
-    "size": 1.0,
-    "acceleration": (0.0, 0.0, 0.0),
-    "linear": 0.0,
-    "quadratic": 0.0,
-    "angular": 0.0,
-    "viscous": 0.0,
-    "dry": 0.0,
-    "regularization": 1.0,
-    "coefficient": 0.0,
-    "static": 0.0,
-    "kinetic": 0.0,
-    "speed": 1.0,
+    "inertia": np.eye(3),
     "friction": 0.0,
-    "static_friction": 0.0,
-    "restitution": 0.0,
-    "rest_speed": 1.0,
-    "rate": 1.0,
-    "start_velocity": (0.0, 0.0, 0.0),
-    "start_position": (0.0, 0.0, 0.0),
 }
-
-
 Note = Callable[[str, FieldError], None]
 
 
@@ -54,10 +32,9 @@ def attempt(
     make: Callable[..., Any],
     arguments: dict[str, Any],
     note: Note,
-    stand_ins: dict[str, Any] | None = None,
+    stand_ins: Mapping[str, Any],
 ) -> Any:
     """What ``make`` makes, or None after noting each argument that it refuses."""
-    stand_ins = STAND_INS if stand_ins is None else stand_ins
     refused: set[str] = set()
     while True:
         try:
@@ -73,6 +50,42 @@ def attempt(
             return None if refused else made
 
 
+def made_from(
+    path: Path, table: type[DerivedTable], report: Report, **others: Any
+) -> Any:
+    """What a table's constructor makes; None after noting what it refuses.
+
+    The good fields are judged even where others are known to be bad.
+
+    Args:
+        path: Where the table stands.
+        table: What it is held against.
+        report: Takes the problems.
+        others: Arguments that the file does not give as they are.
+    """
+    given, fields = report.value(path), table.model_fields
+    stand_ins = {
+        name: _STAND_INS.get(name, _unobjectionable(fields[name]))
+        for name in table.arguments
+    }
+    arguments = others | {
+        name: given[name] if good else stand_ins[name]
+        for name in table.arguments
+        if (good := name in given and not report.has_below((*path, name)))
+        or fields[name].is_required()
+    }
+    note = noting(path, given, report)
+    made = attempt(table.made_by(), arguments, note, stand_ins)
+    return None if report.has_below(path) else made
+
+
+def _unobjectionable(field: FieldInfo) -> Any:
+    """A value that no constructor refuses: the default, or one, or three ones."""
+    if not field.is_required():
+        return field.default
+    return 1.0 if field.annotation is float else (1.0, 1.0, 1.0)
+
+
 def noting(path: Path, fields: Any, report: Report) -> Note:
     """Note a refusal at its field, or at the part where the part has no such field."""
 
@@ -86,27 +99,18 @@ def noting(path: Path, fields: Any, report: Report) -> Note:
     return note
 
 
-def usable(
-    path: Path, names: Iterable[str], required: Iterable[str], report: Report
-) -> dict[str, Any]:
-    """The fields of a table that are of the right type; stand-ins for required ones.
-
-    So the good fields of a table are judged even where others are known to be bad.
-    """
+def usable(path: Path, names: Iterable[str], report: Report) -> dict[str, Any]:
+    """The fields of a table that are given, and of the right type."""
     table = report.value(path)
-    given = {
-        name: table[name]
-        for name in names
-        if name in table and not report.has_below((*path, name))
-    }
-    return {name: STAND_INS[name] for name in required} | given
+    good = (name for name in names if not report.has_below((*path, name)))
+    return {name: table[name] for name in good if name in table}
 
 
 def product_of_turns(turns: list[tuple[str, float]]) -> np.ndarray:
     """Quaternion of turns about x, y or z [degrees], matrices left to right."""
-    a, v = 1.0, np.zeros(3)
+    whole = np.array([1.0, 0.0, 0.0, 0.0])
     for axis, degrees in turns:
         half = 0.5 * math.radians(degrees)
-        b, w = math.cos(half), math.sin(half) * np.eye(3)["xyz".index(axis)]
-        a, v = a * b - v @ w, a * w + b * v + np.cross(v, w)
-    return np.array([a, *v])
+        along = np.eye(3)["xyz".index(axis)]
+        whole = product(whole, [math.cos(half), *(math.sin(half) * along)])
+    return whole

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ...geometry.rotations import about_axis
 from ...geometry.small_linear import matmul
 from .problems import suggestion
 
@@ -155,19 +156,8 @@ class TurnsFormula:
             return result
         angles = jnp.reshape(self.formula(*point, parameters), (len(self.axes),))
         for axis, angle in zip(self.axes, angles, strict=True):
-            result = matmul(result, _turned(axis, angle))
+            result = matmul(result, about_axis("xyz".index(axis), angle))
         return result
-
-
-def _turned(axis: str, angle: Array) -> Array:
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
-    one = jnp.ones_like(c)
-    entries = {(i, i): c, (i, j): -s, (j, i): s, (j, j): c, (k, k): one}
-    rows = [
-        [entries.get((a, b), jnp.zeros_like(c)) for b in range(3)] for a in range(3)
-    ]
-    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def parse(

@@ -3,12 +3,7 @@
 from pathlib import Path as FilePath
 from typing import Any, cast
 
-from ...dynamics.supported import (
-    AbstractSupported,
-    PointMasses,
-    Prescribed,
-    SupportedBody,
-)
+from ...dynamics.supported import AbstractSupported, Prescribed
 from ...kinematics.base_motion import AbstractBaseMotion, BaseMotion, Spin
 from ...kinematics.recorded_motion import RecordedMotion
 from ...validation.checks import FieldError
@@ -21,7 +16,7 @@ from ..accelerograms import (
     read_v2a,
 )
 from .checking import likely_kind
-from .construction import attempt, noting, product_of_turns, usable
+from .construction import attempt, made_from, noting, product_of_turns, usable
 from .formulas import (
     CONSTANTS,
     FUNCTIONS,
@@ -32,7 +27,7 @@ from .formulas import (
     TurnsFormula,
     parse,
 )
-from .moving_tables import MOTIONS, SUPPORTED, RecordTable
+from .moving_tables import MOTIONS, SUPPORTED, FunctionsTable, RecordTable, SpinTable
 from .positions import Given, Path
 from .problems import Report
 
@@ -97,15 +92,10 @@ def _spin(table: dict[str, Any], report: Report) -> Spin | None:
         problem = "says the same as rotations"
         remedy = "leave out rotations or orientation"
         report.add((*_MOTION, "orientation"), problem, remedy, at_key=True)
-    given = usable(
-        _MOTION, ("rate", "orientation", "rotations", "position"), (), report
-    )
+    given = usable(_MOTION, ("orientation", "rotations"), report)
     if "rotations" in given:
         given["orientation"] = product_of_turns(given.pop("rotations"))
-    if "rate" not in given:
-        given["rate"] = 1.0  # known to be bad already
-    spin = attempt(Spin, given, noting(_MOTION, tuple(table), report))
-    return None if report.has_below(_MOTION) else spin
+    return made_from(_MOTION, SpinTable, report, **given)
 
 
 def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, Any]]:
@@ -145,7 +135,7 @@ def _functions(table: dict[str, Any], report: Report) -> BaseMotion | None:
         return None
     if table.get("parameters"):
         arguments["parameters"] = table["parameters"]
-    return attempt(BaseMotion, arguments, noting(_MOTION, tuple(table), report))
+    return made_from(_MOTION, FunctionsTable, report, **arguments)
 
 
 def _record(table: dict[str, Any], report: Report) -> RecordedMotion | None:
@@ -185,7 +175,8 @@ def _record(table: dict[str, Any], report: Report) -> RecordedMotion | None:
         "start_velocity": asked.start_velocity,
         "start_position": asked.start_position,
     }
-    return attempt(RecordedMotion, arguments, noting(_MOTION, tuple(table), report))
+    note = noting(_MOTION, tuple(table), report)
+    return attempt(RecordedMotion, arguments, note, {})
 
 
 def _read(asked: RecordTable, report: Report) -> Accelerogram | None:
@@ -231,11 +222,12 @@ def _part(
     _check_counts(path, kind, table, len(names), report)
     texts = _listed(path, "position", table)
     position = checked_formulas(path, texts, names, report)
-    arguments = {"mass": table["mass"], "coordinates": len(names)}
+    arguments: dict[str, Any] = {"coordinates": len(names)}
     shape = (len(table["position"]), 3) if kind == "point-masses" else (3,)
     arguments["position"] = ArrayFormula(position, shape)
-    if kind == "body":
-        arguments["inertia"] = table["inertia"]
+    if kind == "point-masses":
+        arguments["mass"] = table["mass"]
+    else:
         arguments["rotation"] = _turns(path, table, names, report)
     if "force" in table:
         rates = tuple(f"{name}_dot" for name in names)
@@ -256,8 +248,7 @@ def _part(
         return None
     if table.get("parameters"):
         arguments["parameters"] = table["parameters"]
-    make = PointMasses if kind == "point-masses" else SupportedBody
-    part = attempt(make, arguments, noting(path, tuple(table), report))
+    part = made_from(path, SUPPORTED[kind], report, **arguments)
     if part is None or motion is None:
         return part
     return Prescribed(part, motion, table.get("parameters") or None)

@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from .derived_tables import table_of
 from .table_types import (
     PARAMETERS,
     FormulaTurn,
-    Matrix,
     Positive,
     Quaternion,
     Range,
@@ -30,11 +30,7 @@ _ANGLES = (
 )
 
 
-class SpinTable(Table):
-    """A steady turn about the base's own z axis."""
-
-    kind: Literal["spin"]
-    rate: float = Field(description="the angular velocity [rad/s]")
+class _Spin(Table):
     rotations: list[Turn] | None = Field(
         default=None,
         description='turns [["x", degrees], ...] that tilt the base at t = 0',
@@ -43,15 +39,9 @@ class SpinTable(Table):
         default=None,
         description="a unit quaternion of the base at t = 0, instead of rotations [1]",
     )
-    position: Vector | None = Field(
-        default=None, description="three lengths: the base origin in fixed axes [m]"
-    )
 
 
-class FunctionsTable(Table):
-    """A motion by formulas in the time t."""
-
-    kind: Literal["functions"]
+class _Functions(Table):
     position: _FORMULAS | None = Field(
         default=None,
         description="three formulas in t: the base origin in fixed axes [m]",
@@ -97,54 +87,73 @@ class RecordTable(Table):
     )
 
 
-class PointMassesTable(Table):
-    """Point masses that move inside the body."""
-
-    kind: Literal["point-masses"]
-    mass: list[Positive] = Field(min_length=1, description="a list of masses [kg]")
+class _Driven(Table):
     coordinates: list[str] = Field(min_length=1, description=_NAMES)
-    position: list[_FORMULAS] = Field(
-        description="three formulas for each mass: its place in body axes [m]"
-    )
     force: list[str] | None = Field(default=None, description=_FORCE)
     potential: str | None = Field(default=None, description=_POTENTIAL)
     motion: list[str] | None = Field(default=None, description=_MOTION)
     parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
 
 
-class SupportedBodyTable(Table):
-    """A rigid body that moves inside the body."""
-
-    kind: Literal["body"]
-    mass: Positive = Field(description="the mass [kg], positive")
-    inertia: Matrix = Field(
-        description="the 3 x 3 tensor about its own mass centre, its own axes [kg m^2]"
+class _PointMasses(_Driven):
+    mass: list[Positive] = Field(min_length=1, description="a list of masses [kg]")
+    position: list[_FORMULAS] = Field(
+        description="three formulas for each mass: its place in body axes [m]"
     )
-    coordinates: list[str] = Field(min_length=1, description=_NAMES)
+
+
+class _SupportedBody(_Driven):
     position: _FORMULAS = Field(
         description="three formulas: its mass centre in body axes [m]"
     )
     rotations: list[FormulaTurn] = Field(
         default=[], description=_ANGLES + " to the rotation of its axes to body axes"
     )
-    force: list[str] | None = Field(default=None, description=_FORCE)
-    potential: str | None = Field(default=None, description=_POTENTIAL)
-    motion: list[str] | None = Field(default=None, description=_MOTION)
-    parameters: dict[str, float] = Field(default={}, description=PARAMETERS)
 
 
+# names of the coordinates come before the formulas in them
+_ORDER = {
+    "position": ("coordinates", "position"),
+    "coordinates": (),
+    "potential": ("potential", "motion"),
+}
+SpinTable = table_of(
+    "SpinTable",
+    "A steady turn about the base's own z axis.",
+    "kinematics.base_motion.Spin",
+    _Spin,
+    {"orientation": ("rotations", "orientation")},
+    kind="spin",
+)
+FunctionsTable = table_of(
+    "FunctionsTable",
+    "A motion by formulas in the time t.",
+    "kinematics.base_motion.BaseMotion",
+    _Functions,
+    {"rotation": ("rotations",), "kinks": ()},  # formulas have none
+    kind="functions",
+)
 MOTIONS: dict[str, type[Table]] = {
     "spin": SpinTable,
     "functions": FunctionsTable,
     "record": RecordTable,
 }
-SUPPORTED: dict[str, type[Table]] = {
-    "point-masses": PointMassesTable,
-    "body": SupportedBodyTable,
+SUPPORTED = {
+    "point-masses": table_of(
+        "PointMassesTable",
+        "Point masses that move inside the body.",
+        "dynamics.supported.PointMasses",
+        _PointMasses,
+        _ORDER,
+        kind="point-masses",
+    ),
+    "body": table_of(
+        "SupportedBodyTable",
+        "A rigid body that moves inside the body.",
+        "dynamics.supported.SupportedBody",
+        _SupportedBody,
+        _ORDER | {"rotation": ("rotations",)},
+        kind="body",
+        narrower={"mass": Positive},
+    ),
 }
-Motion = Annotated[
-    SpinTable | FunctionsTable | RecordTable, Field(discriminator="kind")
-]
-Supported = Annotated[
-    PointMassesTable | SupportedBodyTable, Field(discriminator="kind")
-]

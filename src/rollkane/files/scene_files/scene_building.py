@@ -14,50 +14,27 @@ import numpy as np
 from ...dynamics.bodies import Body
 from ...dynamics.placement import place
 from ...dynamics.scene import Base, Scene, Slipping, under
-from ...geometry.surfaces import (
-    AbstractSurface,
-    Cone,
-    Cylinder,
-    DiscEdge,
-    Ellipsoid,
-    Graph,
-    Implicit,
-    Parametric,
-    Plane,
-    Revolution,
-    Ring,
-    Sphere,
-    Torus,
-)
+from ...geometry.numpy_rotations import rotated
+from ...geometry.surfaces import AbstractSurface, Sphere
 from ...hybrid.modes import Modes
 from ...integration.integrate import LOOSEST
 from ...kinematics.coordinates import State
 from ...validation.checks import FieldError
 from .checking import likely_kind
-from .construction import attempt, noting, product_of_turns, usable
+from .construction import attempt, made_from, product_of_turns, usable
 from .formulas import Formula
 from .load_building import contact_of, loads_of, modes_of
 from .motion_building import checked_formulas, motion_of, supported_of
 from .positions import Given, Path
 from .problems import Report
-from .tables import SURFACES, StartTable
+from .tables import SURFACES, BodyTable, StartTable
 
-_CATALOGUE = {
-    "plane": Plane,
-    "sphere": Sphere,
-    "ellipsoid": Ellipsoid,
-    "torus": Torus,
-    "cylinder": Cylinder,
-    "cone": Cone,
-    "disc-edge": DiscEdge,
-    "ring": Ring,
-}
-# kind -> (constructor, its argument, fields with formulas, coordinates)
+# kind -> (argument of its constructor, fields with formulas, coordinates)
 _BY_FORMULA = {
-    "graph": (Graph, "f", ("f",), ("x", "y")),
-    "revolution": (Revolution, "profile", ("radius", "height"), ("s",)),
-    "parametric": (Parametric, "position", ("x", "y", "z"), ("q1", "q2")),
-    "implicit": (Implicit, "f", ("f",), ("x", "y", "z")),
+    "graph": ("f", ("f",), ("x", "y")),
+    "revolution": ("profile", ("radius", "height"), ("s",)),
+    "parametric": ("position", ("x", "y", "z"), ("q1", "q2")),
+    "implicit": ("f", ("f",), ("x", "y", "z")),
 }
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
@@ -91,11 +68,8 @@ def _body(report: Report) -> Body | None:
     surface = _surface(("body", "surface"), report)
     if not isinstance(report.document.get("body"), dict):
         return None
-    numbers = ("mass", "center_of_mass", "inertia")
-    arguments = usable(("body",), numbers, ("mass", "inertia"), report)
-    arguments["surface"] = Sphere(1.0) if surface is None else surface
-    body = attempt(Body, arguments, noting(("body",), numbers, report))
-    return None if report.has_below(("body",)) else body
+    surface = Sphere(1.0) if surface is None else surface
+    return made_from(("body",), BodyTable, report, surface=surface)
 
 
 def _base(report: Report) -> Base | None:
@@ -118,21 +92,14 @@ def _surface(path: tuple[str, str], report: Report) -> AbstractSurface | None:
     kind = likely_kind(table)
     if kind is None:
         return None
-    fields = SURFACES[kind].model_fields
-    required = {name for name, field in fields.items() if field.is_required()}
-    if kind in _CATALOGUE:
-        make = _CATALOGUE[kind]
-        arguments = usable(path, set(fields) - {"kind"}, required - {"kind"}, report)
-    else:
-        make, argument, texts, coordinates = _BY_FORMULA[kind]
-        names = set(fields) - {"kind", "parameters", *texts}
-        arguments = usable(path, names, (), report)
-        formula = _formula(path, texts, coordinates, report)
-        arguments[argument] = formula
+    others: dict[str, Any] = {}
+    if kind in _BY_FORMULA:
+        argument, texts, coordinates = _BY_FORMULA[kind]
+        others = usable(path, ("domain",), report)
+        others[argument] = formula = _formula(path, texts, coordinates, report)
         if formula.parameters:
-            arguments["parameters"] = table["parameters"]
-    surface = attempt(make, arguments, noting(path, tuple(fields), report))
-    return None if report.has_below(path) else surface
+            others["parameters"] = table["parameters"]
+    return made_from(path, SURFACES[kind], report, **others)
 
 
 def _formula(
@@ -163,14 +130,14 @@ def _check_tolerance(report: Report) -> None:
 def _start(scene: Scene | None, report: Report) -> State | None:
     if not isinstance(report.document.get("start"), dict):
         return None
-    given = usable(("start",), StartTable.model_fields, (), report)
+    given = usable(("start",), StartTable.model_fields, report)
     if "rotations" in given:
         orientation = product_of_turns(given["rotations"])
     else:
         orientation = given.get("orientation", _UNTURNED)
     velocity = given.get("angular_velocity", (0.0, 0.0, 0.0))
     if "angular_velocity_body" in given:
-        velocity = _rotated(orientation, given["angular_velocity_body"])
+        velocity = rotated(orientation, given["angular_velocity_body"])
     arguments = {
         "orientation": orientation,
         "angular_velocity": velocity,
@@ -210,14 +177,6 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         {"orientation": _unit(orientation), "alpha": still, "alpha_dot": still},
     )
     return None if scene is None else start
-
-
-def _rotated(quaternion: Any, vector: Any) -> np.ndarray:
-    """Body components [any unit] in the fixed axes, for a quaternion of any length."""
-    a, *v = quaternion
-    square = max(float(np.dot(quaternion, quaternion)), 1e-300)  # refused later if zero
-    turn = 2.0 * np.cross(v, vector) / square
-    return np.asarray(vector) + a * turn + np.cross(v, turn)
 
 
 def _unit(quaternion: Any) -> np.ndarray:

@@ -5,38 +5,43 @@ single field can tell (a sign, a triangle inequality, a contact) is left to the
 constructors of the library, which say it in the same words everywhere.
 """
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
-from .load_tables import CONTACTS, LOADS, Contact, Load, ModesTable
-from .moving_tables import MOTIONS, SUPPORTED, Motion, Supported
+from .derived_tables import OneOf, table_of
+from .load_tables import CONTACTS, LOADS, ModesTable
+from .moving_tables import MOTIONS, SUPPORTED
 from .positions import Given, Path
-from .surface_tables import SURFACES, Surface
-from .table_types import Matrix, Positive, Quaternion, Table, Turn, Vector
+from .surface_tables import SURFACES
+from .table_types import Positive, Quaternion, Table, Turn, Vector
 
-_SURFACE = 'a table such as { kind = "sphere", radius = 0.1 } [m]'
+Surface = Annotated[Table, OneOf(tuple(SURFACES.values()))]
+Motion = Annotated[Table, OneOf(tuple(MOTIONS.values()))]
+Load = Annotated[Table, OneOf(tuple(LOADS.values()))]
+Contact = Annotated[Table, OneOf(tuple(CONTACTS.values()))]
+Supported = Annotated[Table, OneOf(tuple(SUPPORTED.values()))]
 
 
-class BodyTable(Table):
-    """The rolling body."""
-
-    mass: float = Field(description="the mass [kg], positive")
-    center_of_mass: Vector = Field(
-        default=[0.0, 0.0, 0.0],
-        description="three lengths from the body origin, body axes [m]",
+class _WithSurface(Table):
+    surface: Surface = Field(
+        description='a table such as { kind = "sphere", radius = 0.1 } [m]'
     )
-    inertia: Matrix = Field(
-        description="the 3 x 3 tensor about the CENTRE OF MASS, body axes [kg m^2], "
-        "off-diagonal entries minus the products of inertia"
-    )
-    surface: Surface = Field(description=_SURFACE)
 
 
-class BaseTable(Table):
+BodyTable = table_of(
+    "BodyTable",
+    "The rolling body.",
+    "dynamics.bodies.Body",
+    _WithSurface,
+    first=("mass", "center_of_mass"),
+)
+
+
+class BaseTable(_WithSurface):
     """What the body rolls on; its axes are the fixed axes unless it moves."""
 
-    surface: Surface = Field(description=_SURFACE)
     motion: Motion | None = Field(
         default=None,
         description='a table such as { kind = "spin", rate = 4.0 }; left out, at rest',
@@ -136,7 +141,7 @@ class SceneTable(Table):
     title: str = Field(default="", description="a line of text")
     description: str = Field(default="", description="text")
     axes: str = Field(default="", description="how the body axes lie, as text")
-    body: BodyTable = Field(description="a table [body]")
+    body: Annotated[Table, OneOf((BodyTable,))] = Field(description="a table [body]")
     base: BaseTable | None = Field(
         default=None, description="a table [base]; left out, the plane z = 0"
     )
@@ -152,7 +157,7 @@ class SceneTable(Table):
         description='a table such as { kind = "coulomb", coefficient = 0.2 }; left '
         "out, rolling",
     )
-    modes: ModesTable | None = Field(
+    modes: Annotated[Table, OneOf((ModesTable,))] | None = Field(
         default=None,
         description="a table [modes]; left out, the contact never changes",
     )
@@ -160,7 +165,7 @@ class SceneTable(Table):
     run: RunTable = Field(description="a table [run]")
 
 
-def kinds_at(path: Path) -> dict[str, type[Table]] | None:
+def kinds_at(path: Path) -> Mapping[str, type[Table]] | None:
     """The tables that may stand at a path, by their ``kind``; None elsewhere."""
     match path:
         case ("body" | "base", "surface"):
@@ -187,21 +192,15 @@ def table_at(path: Path, kind: Any = None) -> type[Table] | None:
     kinds = kinds_at(path)
     if kinds is not None:
         return kinds.get(kind) if isinstance(kind, str) else None
-    match path:
-        case ():
-            return SceneTable
-        case ("body",):
-            return BodyTable
-        case ("base",):
-            return BaseTable
-        case ("start",):
-            return StartTable
-        case ("modes",):
-            return ModesTable
-        case ("run",):
-            return RunTable
-        case _:
-            return None
+    tables: dict[Path, type[Table]] = {
+        (): SceneTable,
+        ("body",): BodyTable,
+        ("base",): BaseTable,
+        ("start",): StartTable,
+        ("modes",): ModesTable,
+        ("run",): RunTable,
+    }
+    return tables.get(path)
 
 
 def scene_schema() -> dict[str, Any]:

@@ -101,9 +101,9 @@ class Sphere(AbstractNormalSurface):
         """Make a sphere.
 
         Args:
-            radius: [m], positive.
-            center: [m], owner's axes, shape (3,).
-            inside: Whether the other body touches from within.
+            radius: The radius [m], positive.
+            center: Its centre, three lengths in its owner's axes [m].
+            inside: True where the other body touches from within, else false.
 
         Raises:
             FieldError: a radius that is not positive, a centre of another shape.
@@ -161,9 +161,9 @@ class Ellipsoid(AbstractNormalSurface):
         """Make an ellipsoid.
 
         Args:
-            semi_axes: [m], positive, along x, y and z, shape (3,).
-            center: [m], owner's axes, shape (3,).
-            inside: Whether the other body touches from within.
+            semi_axes: Three positive lengths along x, y and z [m].
+            center: Its centre, three lengths in its owner's axes [m].
+            inside: True where the other body touches from within, else false.
 
         Raises:
             FieldError: semi-axes that are not three positive lengths.
@@ -233,9 +233,9 @@ class Torus(AbstractPairSurface):
         """Make a torus.
 
         Args:
-            major_radius: [m], positive.
-            minor_radius: [m], positive and smaller than the major radius.
-            inside: Whether the other body touches from within the tube.
+            major_radius: The radius of the tube's centre line [m], positive.
+            minor_radius: The radius of the tube [m], positive, less than major_radius.
+            inside: True where the other body touches from within, else false.
 
         Raises:
             FieldError: radii that make no ring; a rim without thickness is DiscEdge.
@@ -324,8 +324,8 @@ class Cylinder(AbstractPairSurface):
         """Make a cylinder.
 
         Args:
-            radius: [m], positive.
-            inside: Whether the other body touches from within.
+            radius: The radius [m], positive.
+            inside: True where the other body touches from within, else false.
 
         Raises:
             FieldError: a radius that is not positive.

@@ -38,7 +38,7 @@ class Cone(AbstractPointSurface):
 
         Args:
             slope: Rise over run [1], not zero.
-            inside: True where the other body is above.
+            inside: True where the other body is above, else false.
 
         Raises:
             FieldError: slope zero, which is a plane.

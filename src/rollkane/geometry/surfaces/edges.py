@@ -80,7 +80,7 @@ class DiscEdge(AbstractNormalSurface):
         """Make a rim.
 
         Args:
-            radius: [m], positive.
+            radius: The radius of the rim [m], positive.
 
         Raises:
             FieldError: a radius that is not positive.
@@ -156,7 +156,7 @@ class Ring(AbstractPointSurface):
         """Make a ring.
 
         Args:
-            radius: [m], positive.
+            radius: The radius of the ring [m], positive.
 
         Raises:
             FieldError: a radius that is not positive.

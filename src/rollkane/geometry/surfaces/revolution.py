@@ -94,9 +94,9 @@ class Revolution(AbstractPointSurface):
                 meridian that ends at the height at which it begins (a tube's cross
                 section) whether it goes anticlockwise in the plane of radius and
                 height.
-            inside: The normal out of the material points away from the axis (a
-                hanging bowl's is its lower side); True turns it round, so that the
-                other body rolls within.
+            inside: True turns the outward side towards the axis, else false. Else the
+                normal out of the material points away from the axis (a hanging bowl's
+                is its lower side); True lets the other body roll within.
 
         A contact that comes to the rim of a meridian with one pole (a cup) ends a run
         with ``Code.SURFACE_EDGE``.

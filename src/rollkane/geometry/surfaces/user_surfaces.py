@@ -146,8 +146,8 @@ class Parametric(AbstractPointSurface):
                 ``of_direction`` ignored.
             of_direction: Whether position takes a unit vector; closed surfaces without
                 poles.
-            inside: The normal d1 x d2 (with ``of_direction``: the one away from the
-                origin of directions) points out of the material; True turns it round.
+            inside: False where the normal d1 x d2 points out of the material, else
+                true. With ``of_direction``, the normal away from their origin.
 
         Raises:
             FieldError: position of another signature or result.
@@ -278,8 +278,8 @@ class Implicit(AbstractPointSurface):
             f: ``f(p, parameters)``, ``f(x, y, z)`` ... -> one number, negative inside
                 the material, written with jax.numpy and twice differentiable.
             parameters: Tree of numbers that f depends on; differentiable.
-            center: Point of the material from which contact points are searched [m].
-            size: How far from there the surface reaches at most [m].
+            center: A point of the material from which the surface is searched [m].
+            size: How far from there it reaches at most [m], positive.
 
         Raises:
             FieldError: f of another signature, or whose value is not one number.
