@@ -18,6 +18,7 @@ FOLDERS = [
     "simulation",
     "kane",
     "identification",
+    "stability",
     "studies",
     "files",
     "pictures",
