@@ -92,6 +92,8 @@ from .simulation.trajectory import Trajectory as Trajectory
 from .stability.branch import Branch as Branch
 from .stability.families import steady_family as steady_family
 from .stability.families import switch_branch as switch_branch
+from .stability.linear_model import LinearModel as LinearModel
+from .stability.linear_model import linearize as linearize
 from .stability.steady import SteadyMotion as SteadyMotion
 from .stability.steady import steady_motion as steady_motion
 from .stability.symmetries import Symmetries as Symmetries

@@ -14,7 +14,9 @@ SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
     "Branch",
+    "LinearModel",
     "SteadyMotion",
+    "linearize",
     "Symmetries",
     "steady_family",
     "steady_motion",

@@ -7,7 +7,6 @@ import numpy as np
 
 from ..files.atomic_file import write_whole
 from ..stability.branch import Branch
-from ..validation.checks import FieldError
 from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
 
 if TYPE_CHECKING:
@@ -27,7 +26,8 @@ def plot_family(
     Args:
         branches: Of the same family: one, or those that meet at bifurcations.
         path: File to write.
-        show: Held quantity, group velocity or "growth" [1/s]; None: the growth.
+        show: A quantity by its name, as of ``Branch.along``, or "growth" [1/s]; None:
+            the growth.
         title: Above the picture.
 
     Raises:
@@ -54,13 +54,7 @@ def _heights(branch: Branch, name: str) -> np.ndarray:
     if name == "growth":
         rows = [np.max(np.real(p.eigenvalues), initial=0.0) for p in branch.points]
         return np.array(rows)
-    try:
-        return branch.along(name)
-    except KeyError:
-        first = branch.points[0]
-        known = ", ".join(["growth", *first.held, *first.generator])
-        problem = "is nothing that the branch knows"
-        raise FieldError("plot.show", name, problem, f"show one of: {known}") from None
+    return branch.along(name)
 
 
 def _draw(panel: "Axes", branch: Branch, y: np.ndarray) -> None:

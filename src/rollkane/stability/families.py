@@ -77,8 +77,8 @@ def switch_branch(
     Args:
         branch: Where the bifurcation was found.
         critical: One of its zero crossings, or a fold.
-        points: As for ``steady_family``.
-        max_points: As for ``steady_family``.
+        points: How many steps the span is wide, at least [1].
+        max_points: Most points each way [1].
 
     Raises:
         FieldError: no other branch leaves there.

@@ -156,7 +156,7 @@ class IndependentCoordinates(eqx.Module):
         zero at the reference, with the identity as its derivative there.
         """
         offset = self.image(state) - self.image(self.reference)
-        return _least_squares(self.basis(), offset)
+        return least_squares(self.basis(), offset)
 
     def velocity(self, x: Float[Array, " n"], rates: State) -> Float[Array, " n"]:
         """Rates of the coordinates from those of the state at x.
@@ -167,7 +167,7 @@ class IndependentCoordinates(eqx.Module):
                 less those with which it carries the state along.
         """
         _, moved = jax.jvp(self.image, (self.state(x),), (rates,))
-        return _least_squares(self.basis(x), moved)
+        return least_squares(self.basis(x), moved)
 
 
 def independent_coordinates(
@@ -238,7 +238,7 @@ def _place(surface: AbstractSurface, u: Float[Array, " k"]) -> list[Array]:
     return [geometry.position, geometry.normal]
 
 
-def _least_squares(
+def least_squares(
     columns: Float[Array, "m n"], target: Float[Array, " m"]
 ) -> Float[Array, " n"]:
     """By the normal equations of columns of unit length, far from singular."""
