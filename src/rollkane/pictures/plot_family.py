@@ -12,6 +12,8 @@ from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_UNITS = {"speed": "m/s", "tilt": "rad", "spin": "rad/s", "energy": "J"}
+_UNITS |= {"growth": "1/s", "normal force": "N"}
 _MARKS = {"fold": "s", "zero crossing": "o", "Hopf": "D", "collision": "^"}
 
 
@@ -43,11 +45,15 @@ def plot_family(
         _draw(panel, branch, y)
         _mark(panel, branch, y)
     panel.set_ylim(*limits(np.concatenate(heights), 0.08, 1e-9))
-    panel.set_xlabel(drawn[0].vary.removeprefix("hold."))
-    panel.set_ylabel("growth [1/s]" if name == "growth" else name)
+    panel.set_xlabel(_with_unit(drawn[0].vary.removeprefix("hold.")))
+    panel.set_ylabel(_with_unit(name))
     panel.set_title(title, fontsize=10, color=INK)
     panel.legend(fontsize=8, frameon=False)
     write_whole(path, png(figure))
+
+
+def _with_unit(name: str) -> str:
+    return f"{name} [{_UNITS[name]}]" if name in _UNITS else name
 
 
 def _heights(branch: Branch, name: str) -> np.ndarray:

@@ -48,7 +48,7 @@ def steady_family(
         FieldError: a name that nothing has, a motion outside of the span, more or
             less left free than one dimension.
 
-    Source: docs/theory.md, (9.7) to (9.9).
+    Source: docs/theory.md, (10.2) to (10.5).
     """
     if not isinstance(cast(object, motion), SteadyMotion):
         remedy = "give what steady_motion returns"

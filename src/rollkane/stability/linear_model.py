@@ -75,7 +75,7 @@ def linearize(
     Raises:
         FieldError: names that nothing has, a scene that depends on time.
 
-    Source: docs/theory.md, (9.8).
+    Source: docs/theory.md, (10.3).
     """
     if isinstance(state, SteadyMotion):
         problem, at, xi = state.problem, state.state, state.solution.xi
@@ -100,8 +100,8 @@ def linearize(
     }
     rows |= {q.name: (C[k], D[k]) for k, q in enumerate(quantities)}
     ordered = [rows[_plain(name, rows)] for name in outputs]
-    by_x = np.array([row for row, _ in ordered]).reshape(-1, size[0])
-    by_r = np.array([row for _, row in ordered]).reshape(-1, size[1])
+    by_x = np.array([row for row, _ in ordered]).reshape(len(ordered), size[0])
+    by_r = np.array([row for _, row in ordered]).reshape(len(ordered), size[1])
     return LinearModel(A, B, by_x, by_r, f, names, tuple(inputs), tuple(outputs))
 
 

@@ -56,7 +56,7 @@ def spectrum(
         labels: Quantities by which a family is told: names and derivatives by x.
         dimensions: Of the family, where they are known; None: by rank.
 
-    Source: docs/theory.md, (9.8): the group's directions S and the family's N are
+    Source: docs/theory.md, (10.4): the group's directions S and the family's N are
     invariant, ``A S`` in S and ``A N`` in S + N, so that A acts on what is left.
     """
     A = local.slope / size[:, None] * size[None]

@@ -11,7 +11,7 @@ from jaxtyping import Complex, Float
 from ..dynamics.scene import Scene
 from ..kane.system import KaneSystem
 from ..validation.checks import FieldError, is_traced
-from .independent_coordinates import independent_coordinates
+from .independent_coordinates import refuse_kind, refuse_rank
 from .kane_problem import kane_problem
 from .newton import (
     Asked,
@@ -124,7 +124,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
         FieldError: a scene that depends on time, no steady motion near the guess, more
             held than is free, what a symmetry does not leave fixed.
 
-    Source: docs/theory.md, (9.7), (9.8).
+    Source: docs/theory.md, (10.2) to (10.4).
     """
     problem, state = problem_of(scene, guess)
     quantities, values = held_quantities("steady_motion.hold", problem, state, hold)
@@ -133,6 +133,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     asked = asked._replace(names=names, fast=fast)
     start = np.zeros(len(problem.group))
     first = solved(asked, state, start, 0.0, tries=0).point
+    refuse_rank(first.local.basis)
     given = zip(values, first.local.held, strict=True)
     wanted = [float(own) if v is None else v for v, own in given]
     asked = asked._replace(values=np.array(wanted, float))
@@ -162,8 +163,8 @@ def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
         problem = "is in single precision, in which no rank can be told"
         remedy = 'call jax.config.update("jax_enable_x64", True) first'
         raise FieldError("steady_motion.guess", "float32", problem, remedy)
-    around = independent_coordinates(scene, guess)
-    return rolling_problem(scene, symmetries(scene)), around.reference
+    refuse_kind(scene, guess)
+    return rolling_problem(scene, symmetries(scene)), guess
 
 
 def guessed_velocities(asked: Asked, point: Point) -> np.ndarray:
