@@ -9,6 +9,8 @@ import pytest
 import rollkane as rk
 from rollkane.stability.independent_coordinates import independent_coordinates
 
+from ..quick import slow_but
+
 G = 9.81
 EDGEWISE = (np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0)  # the body's z axis along -y
 UPRIGHT, ORIGIN = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -353,6 +355,7 @@ def test_rest_in_a_spinning_bowl_and_the_branches_that_leave_it():
         np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_turntable_goes_round_two_sevenths_as_fast():
     """Circles about the axis: 2/7 of the table's rate, whatever their radius."""
     rate = 3.0
@@ -365,6 +368,92 @@ def test_a_ball_on_a_turntable_goes_round_two_sevenths_as_fast():
     assert abs(turn - 2.0 / 7.0 * rate) < 1e-12
     # beside it: circles about any other centre, which turn with the frame
     assert np.min(np.abs(motion.eigenvalues - 1j * turn)) < 1e-12
+
+
+BALL = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+EGG = rk.Body(1.0, np.diag([0.003, 0.003, 0.002]), rk.Ellipsoid((0.1, 0.1, 0.15)))
+TORUS = rk.Body(1.0, np.diag([0.003, 0.003, 0.005]), rk.Torus(0.1, 0.03))
+SLOPE = rk.Gravity((1.0, 0.0, -9.8))
+LEANING = (np.cos(0.3), np.sin(0.3), 0.0, 0.0)
+
+
+def gliding(t):
+    return jnp.stack([2.0 * t, 0.0 * t, 0.0 * t])
+
+
+def hanging(angle):
+    x = angle[0]
+    return 0.05 * jnp.stack([jnp.sin(x), 0.0 * x, -jnp.cos(x)])[None]
+
+
+def kinds():
+    """Scene, guess, what is held, and how many zeros there are by theory.
+
+    Zeros: dimensions of the group that move the state, of the family of steady motions,
+    and of the ways in which it drifts steadily along itself.
+    """
+    one = rk.Scene(BALL)
+    yield "ball", one, (UPRIGHT, (0.0, 5.0, 2.0), ORIGIN, {}), (), 6 + 2
+    bowl = rk.Graph(lambda x, y: 0.3 * (x**2 + 2.0 * y**2))
+    still = UPRIGHT, (0.0, 0.1, 0.0), ORIGIN, {}
+    # CM above the contact: two conditions on five coordinates; yaw drifts
+    oval = rk.Body(1.0, np.diag([0.003, 0.004, 0.005]), rk.Ellipsoid((0.2, 0.15, 0.1)))
+    yield "rest in a bowl", rk.Scene(oval, rk.Base(bowl)), still, (), 3 + 1
+    smooth = rk.Slipping(rk.ViscousFriction(0.0))
+    spun = LEANING, (0.0, 0.0, 90.0), ORIGIN, {"slip": (0.3, 0.0, 0.0)}
+    # on ice: two translations, turn, spin; lean and spin
+    yield "egg on ice", rk.Scene(EGG, contact=smooth), spun, ("tilt",), 4 + 2
+    thick = rk.RollingResistance(viscous=0.02)
+    rolls = UPRIGHT, (0.0, 3.0, 0.0), ORIGIN, {}
+    # two translations, three spins; the spin about the normal is free
+    down = rk.Scene(BALL, loads=(SLOPE, thick))
+    yield "ball that rolls down steadily", down, rolls, (), 5 + 1
+    base = rk.Base(motion=rk.BaseMotion(position=gliding))
+    fast = UPRIGHT, (0.0, 0.0, 30.0), ORIGIN, {}
+    # asleep: translations, and turn and spin as one; the spin is free
+    yield "egg on a gliding base", rk.Scene(EGG, base), fast, ("spin",), 3 + 1
+    shell = rk.Scene(BALL, supported=rk.PointMasses(0.3, hanging))
+    swings = UPRIGHT, ORIGIN, ORIGIN, {"alpha": (0.2,), "alpha_dot": (0.0,)}
+    # at rest: translations, turn; any turn of the shell about the level axis of the
+    # pendulum, for it hangs down; steady spins about the vertical
+    yield "ball with a pendulum", shell, swings, (), None
+    yield (
+        "ring in a bowl",
+        rk.Scene(TORUS, rk.Base(bowl)),
+        (
+            (np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0),
+            (0.0, 0.1, 0.0),
+            ORIGIN,
+            {},
+        ),
+        (),
+        None,
+    )
+
+
+KINDS = {name: rest for name, *rest in kinds()}
+
+
+@pytest.mark.parametrize("name", slow_but(["ball"], KINDS))
+def test_motions_of_every_kind_go_on_as_their_group_says(name):
+    scene, (q, w, place, more), hold, count = KINDS[name]
+    guess = rk.place(scene, q, w, place, **more)
+    motion = rk.steady_motion(scene, guess, hold)
+    if count is not None:
+        assert len(motion.zeros) == count
+    assert len(motion.zeros) + motion.eigenvalues.size == len(motion.coordinates)
+    run = rk.simulate(scene, motion.state, (0.0, 0.5), rtol=1e-11, atol=1e-13)
+    last = jax.tree.map(lambda x: x[-1], run.state)
+    expected = motion.at(0.5)
+    contacts = [rk.contact_of(scene, jnp.asarray(0.5), y) for y in (expected, last)]
+    # some 1e3 steps of 1e-11; unstable ones grow by exp(0.5 * growth), at most 1e2
+    loose = 1e-8 * np.exp(0.5 * max(motion.growth, 0.0))
+    np.testing.assert_allclose(*(c.rotation for c in contacts), rtol=0, atol=loose)
+    np.testing.assert_allclose(*(c.place for c in contacts), rtol=0, atol=loose)
+    if name == "ball that rolls down steadily":
+        # moments about the contact: m g_x a = c w
+        speed = 1.0 * 0.1 / 0.02 * 0.1
+        assert abs(motion.generator["translation x"] - speed) < 1e-12
 
 
 @pytest.mark.slow

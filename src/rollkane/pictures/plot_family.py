@@ -12,8 +12,14 @@ from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_UNITS = {"speed": "m/s", "tilt": "rad", "spin": "rad/s", "energy": "J"}
-_UNITS |= {"growth": "1/s", "normal force": "N"}
+_UNITS = {
+    "speed": "m/s",
+    "tilt": "rad",
+    "spin": "rad/s",
+    "energy": "J",
+    "growth": "1/s",
+    "normal force": "N",
+}
 _MARKS = {"fold": "s", "zero crossing": "o", "Hopf": "D", "collision": "^"}
 
 

@@ -124,7 +124,7 @@ def _both_ways(
     plan: _Plan, ahead: BranchPoint, back: BranchPoint, middle: list[BranchPoint]
 ) -> Branch:
     """A branch from both of its starts outwards, and what lies between them."""
-    dimensions = ahead.told.family.shape[1]
+    dimensions = ahead.told.counts
     how = plan.span, plan.points, plan.most, dimensions
     forward = walked(plan.asked, ahead, *how)
     backward = walked(plan.asked, back, *how)

@@ -74,8 +74,10 @@ class SteadyMotion:
 
     @property
     def growth(self) -> float:
-        """Largest rate of growth [1/s]."""
-        return float(np.max(np.real(self.eigenvalues), initial=-np.inf))
+        """Largest rate of growth [1/s]; zero where nothing is left to decide."""
+        if not self.eigenvalues.size:
+            return 0.0
+        return float(np.max(np.real(self.eigenvalues)))
 
     def at(self, time: Any) -> Any:
         """The state at another time [s], exactly: moved by the group, with the base."""
@@ -204,7 +206,9 @@ def motion_of(asked: Asked, found: Solved) -> SteadyMotion:
     )
 
 
-def spectrum_at(asked: Asked, point: Point, dimensions: int | None = None) -> Spectrum:
+def spectrum_at(
+    asked: Asked, point: Point, dimensions: tuple[int, ...] | None = None
+) -> Spectrum:
     """Eigenvalues at a solution; of a family of known dimensions, or by rank."""
     local, size = point.local, sizes_of(asked, point)
     group = directions(local, size)
