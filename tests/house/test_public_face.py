@@ -13,6 +13,15 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "Branch",
+    "LinearModel",
+    "SteadyMotion",
+    "linearize",
+    "Symmetries",
+    "steady_family",
+    "steady_motion",
+    "switch_branch",
+    "symmetries",
     "ExperimentDesign",
     "design_experiment",
     "negative_log_likelihood",

@@ -1,0 +1,1 @@
+"""Symmetries, steady motions, their linear models and stability."""

@@ -1,0 +1,267 @@
+"""Symmetries of a scene: groups of motions under which its equations keep their form.
+
+Rigid motions that carry the base's surface or the body's into itself, and shifts of
+what is carried, are candidates; a combination of them is a symmetry where the
+right-hand side is equivariant: the Lie bracket of both vector fields vanishes at random
+states that the contact allows. So a surface, a load or a carried mass of the user's
+counts like any other.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from ..dynamics.scene import Scene
+from ..kinematics.coordinates import State
+from ..validation.checks import FieldError, is_traced
+from .equivariance import brackets_of, equivariant, random_draws
+from .group_actions import Action, carried_by, carrying_with, moved_by, tangent
+from .surface_motions import LOOSE, SurfaceMotions, echelon, surface_motions
+
+
+class Symmetries(eqx.Module):
+    """The symmetries of a scene: generators by name, and what they generate.
+
+    Attributes:
+        names: Of the generators, in order.
+        scene: Whose they are.
+        action: What they do, one row for each name.
+        drift: What time itself does beside carrying the state along with the base, one
+            row; None: the scene depends on time and no motion takes that out.
+        twists: Of each generator on the base: velocity of the base's origin [m/s] and
+            angular velocity [rad/s], base axes, shape (K, 6).
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    scene: Scene
+    action: Action
+    drift: Action | None
+    twists: Float[Array | np.ndarray, "K 6"]
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[str]:
+        """Their names."""
+        return iter(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is one of a name."""
+        return name in self.names
+
+    def __getitem__(self, name: str) -> Callable[..., State]:
+        """The generator of a name, a function of a state that gives its tangent.
+
+        Raises:
+            FieldError: none has the name.
+        """
+        if name not in self.names:
+            known = ", ".join(map(repr, self.names)) or "none"
+            remedy = f"there are {known}"
+            raise FieldError("symmetries", name, "is no symmetry of the scene", remedy)
+        weights = np.eye(len(self))[self.names.index(name)]
+
+        def generator(state: State, time: ArrayLike = 0.0) -> State:
+            return self.generator(state, weights, time)
+
+        return generator
+
+    def generator(
+        self, state: State, velocities: ArrayLike, time: ArrayLike = 0.0
+    ) -> State:
+        """Tangent of a state that moves with given group velocities.
+
+        Args:
+            state: Any that the contact allows.
+            velocities: One for each name [m/s] or [rad/s], shape (K,).
+            time: [s]; it places a base that moves.
+        """
+        weights = jnp.asarray(velocities, state.orientation.dtype)
+        return tangent(self.scene, time, state, self.action, weights)
+
+    def moved(self, state: State, steps: ArrayLike, time: ArrayLike = 0.0) -> State:
+        """The state moved by a group element: ``exp(sum steps_k G_k)`` of it, exactly.
+
+        Args:
+            state: Any that the contact allows.
+            steps: Of each name [m] or [rad], shape (K,).
+            time: [s].
+        """
+        weights = jnp.asarray(steps, state.orientation.dtype)
+        return moved_by(self.scene, time, state, self.action, weights)
+
+    def carrying(self, state: State, time: ArrayLike = 0.0) -> State:
+        """Tangent of a state that time itself carries along.
+
+        The base takes it with it; rates less this do not depend on time. Zero on a base
+        at rest.
+
+        Raises:
+            FieldError: the scene depends on time and no motion takes that out.
+        """
+        return carrying_with(self.scene, time, state, self.known_drift)
+
+    def carried(self, state: State, time: ArrayLike, start: ArrayLike = 0.0) -> State:
+        """A state at a start, carried along by time itself to another time [s].
+
+        Raises:
+            FieldError: the scene depends on time and no motion takes that out.
+        """
+        begin, end = (jnp.asarray(t, state.orientation.dtype) for t in (start, time))
+        return carried_by(self.scene, begin, end, state, self.known_drift)
+
+    @property
+    def known_drift(self) -> Action:
+        """The drift; refused where there is none."""
+        if self.drift is None:
+            problem = "depends on time in a way that no motion with its base takes out"
+            remedy = (
+                "leave out forces and prescribed motions that are functions of time, "
+                "and let the base rest, glide or turn steadily"
+            )
+            raise FieldError("scene", self.scene.base.motion, problem, remedy)
+        return self.drift
+
+
+def symmetries(scene: Scene) -> Symmetries:
+    """The symmetries of a scene, by name.
+
+    ``"translation x"`` and ``"turn about z"`` move the body on its base, in base axes
+    (a plane, a cylinder, any surface of revolution); ``"screw about z"`` does both;
+    ``"spin about z"`` turns a body of revolution in itself, in body axes;
+    ``"alpha[0]"`` shifts a coordinate of what is carried. Combinations that are
+    symmetries only together have a name that says of what.
+
+    Args:
+        scene: What rolls on what, under any loads; a base may glide or turn steadily.
+
+    Returns:
+        ``Symmetries``: group velocities are in [m/s] and [rad/s].
+
+    Source: docs/theory.md, (10.1).
+    """
+    if is_traced(scene):
+        problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
+        raise FieldError("symmetries.scene", "a traced scene", problem, remedy)
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
+    known = [np.asarray(x) for x in leaves]
+    key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
+    if key not in _FOUND:
+        while len(_FOUND) >= _KEPT:
+            _FOUND.pop(next(iter(_FOUND)))
+        _FOUND[key] = _symmetries(scene)
+    return _FOUND[key]
+
+
+_FOUND: dict[Any, "Symmetries"] = {}  # by scene, the last few
+_KEPT = 32
+
+
+def _symmetries(scene: Scene) -> Symmetries:
+    base = surface_motions(scene.base.surface)
+    body = surface_motions(scene.body.surface)
+    own = scene.has_contact_coordinates
+    counts = base.twists.shape[0], body.twists.shape[0], scene.coordinate_count
+    dtype = np.dtype(scene.body.mass.dtype)
+    action = _candidates(base, body, counts, own, dtype)
+    draws = random_draws(scene, dtype)
+    brackets, sizes = (np.asarray(x) for x in brackets_of(scene, action, *draws))
+    null = equivariant(brackets, sizes, LOOSE[dtype.itemsize])
+    free, drift = _parted(null)
+    rows = echelon(free)
+    labels = [*_base_names(base), *_body_names(body)]
+    labels += [f"alpha[{k}]" for k in range(scene.coordinate_count)]
+    return Symmetries(
+        tuple(_combination(row, labels) for row in rows),
+        scene,
+        action.combined(rows),
+        None if drift is None else action.combined(drift[None]),
+        np.asarray(rows[:, : counts[0]] @ base.twists, dtype),
+    )
+
+
+def _candidates(
+    base: SurfaceMotions,
+    body: SurfaceMotions,
+    counts: tuple[int, int, int],
+    own: bool,
+    dtype: np.dtype[Any],
+) -> Action:
+    """All rigid motions of both surfaces and all shifts of alpha, one row each."""
+    total = sum(counts)
+    first, second = counts[0], counts[0] + counts[1]
+    body_maps = body.maps if own else np.zeros((counts[1], 1, 1))
+    parts = {
+        "turn": (slice(0, first), base.twists[:, 3:]),
+        "on_base": (slice(0, first), base.maps),
+        "spin": (slice(first, second), body.twists[:, 3:]),
+        "on_body": (slice(first, second), body_maps),
+        "shift": (slice(second, total), np.eye(counts[2])),
+    }
+    made: dict[str, Any] = {}
+    for name, (rows, values) in parts.items():
+        whole = np.zeros((total, *values.shape[1:]), dtype)
+        whole[rows] = values
+        made[name] = whole
+    return Action(**made)
+
+
+def _parted(null: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Symmetries without time, and what goes with a unit of time."""
+    with_time = null[:, -1:]
+    if not null.shape[0]:
+        return null[:, :-1], None
+    left, values, _ = np.linalg.svd(with_time)
+    if values[0] < 1e-6:
+        return null[:, :-1], None
+    lead, free = left[:, 0] @ null, left[:, 1:].T @ null
+    drift = (lead / lead[-1])[:-1]
+    if free.shape[0]:  # as little of the symmetries in it as there can be
+        drift = drift - np.linalg.pinv(free[:, :-1]) @ (free[:, :-1] @ drift)
+    drift[np.abs(drift) < 1e-9 * max(1.0, np.abs(drift).max(initial=0.0))] = 0.0
+    return free[:, :-1], drift
+
+
+def _base_names(motions: SurfaceMotions) -> list[str]:
+    return [_twist_name(twist, "turn") for twist in motions.twists]
+
+
+def _body_names(motions: SurfaceMotions) -> list[str]:
+    own = [_twist_name(twist, "spin") for twist in motions.twists]
+    return [f"body {name}" if "spin" not in name else name for name in own]
+
+
+def _twist_name(twist: np.ndarray, turning: str) -> str:
+    v, w = twist[:3], twist[3:]
+    if not w.any():
+        return f"translation {_axis(v)}"
+    pitch = float(v @ w) / float(w @ w)
+    small = 1e-9 * max(float(np.abs(v).max()), 1e-300)
+    if abs(pitch) > small and np.any(v):
+        return f"screw about {_axis(w)}"
+    return f"{turning} about {_axis(w)}"
+
+
+def _axis(vector: np.ndarray) -> str:
+    unit = vector / np.linalg.norm(vector)
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        if np.abs(unit - axis).max() < 1e-9:
+            return name
+    return "({:.6g}, {:.6g}, {:.6g})".format(*unit)
+
+
+def _combination(row: np.ndarray, labels: list[str]) -> str:
+    text = ""
+    for weight, label in zip(row, labels, strict=True):
+        if weight:
+            size = "" if abs(weight) == 1.0 else f"{abs(weight):.6g} "
+            sign = " - " if weight < 0.0 else " + "
+            text += (sign if text or weight < 0.0 else "") + size + label
+    return text.strip()
