@@ -47,7 +47,9 @@ def test_a_family_is_told_drawn_and_written(tmp_path):
     [
         (("steady", "rolling-disc", "--hold", "sped=1"), "did you mean 'speed'"),
         (("steady", "rolling-disc", "--hold", "speed=fast"), "is not a finite number"),
-        (("steady", "shaken-plate"), "depends on time"),
+        pytest.param(
+            ("steady", "shaken-plate"), "depends on time", marks=pytest.mark.slow
+        ),
         (("family", "rolling-disc", "--vary", "spin"), "is not NAME=LOW:HIGH"),
         (("family", "rolling-disc", "--vary", "body.mas=1:2"), "can be varied"),
     ],

@@ -261,7 +261,8 @@ def _combination(row: np.ndarray, labels: list[str]) -> str:
     text = ""
     for weight, label in zip(row, labels, strict=True):
         if weight:
-            size = "" if abs(weight) == 1.0 else f"{abs(weight):.6g} "
+            told = f"{abs(weight):.6g} "
+            size = "" if told == "1 " else told
             sign = " - " if weight < 0.0 else " + "
             text += (sign if text or weight < 0.0 else "") + size + label
     return text.strip()
