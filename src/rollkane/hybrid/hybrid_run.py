@@ -24,7 +24,7 @@ from ..dynamics.rolling_problem import at_an_edge, has_edges
 from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.integrate import in_order
-from ..integration.solve import without_derivative
+from ..integration.plans import without_derivative
 from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
