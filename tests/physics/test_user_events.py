@@ -16,6 +16,8 @@ import pytest
 import rollkane as rk
 from rollkane.dynamics.observables import energy
 
+from ..quick import slow_but
+
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 RADIUS = 0.1
 BALL = rk.Body(1.0, 0.4 * RADIUS**2 * np.eye(3), rk.Sphere(RADIUS))
@@ -199,3 +201,177 @@ def test_second_derivatives_of_events_are_refused():
     f = lambda x: crossing(x, "native")[0]
     with pytest.raises(rk.FieldError, match="has no second derivatives"):
         jax.hessian(f)(POINT)
+
+
+# -- a ball leaves a ball --------------------------------------------------------------
+
+BIG = 1.0
+ON_TOP = rk.Scene(BALL, rk.Base(rk.Sphere(BIG)))
+
+
+def beside_top(angle):
+    """At rest, so far from the top [rad]."""
+    where = BIG * jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
+    return rk.place(ON_TOP, UP, STILL, where)
+
+
+def leaving(angle):
+    stop = "lift-off"
+    return rk.simulate(ON_TOP, beside_top(angle), (0.0, 10.0), rtol=1e-12, stop=stop)
+
+
+def angle_of(run):
+    x, _, z = place_of(ON_TOP, run.final_time, run.final_state)
+    return jnp.arctan2(x, z)
+
+
+def test_a_ball_leaves_a_ball_at_the_known_angle():
+    """7/10 v^2 = g (R + r) (cos a_0 - cos a); N = 0 at v^2 = g (R + r) cos a."""
+    angle = jnp.asarray(1e-6)
+    run = leaving(angle)
+    assert int(run.code) == rk.Code.STOPPED
+    assert run.reason.endswith('"lift-off"')
+    exact = jnp.arccos(10.0 / 17.0 * jnp.cos(angle))
+    # energy is kept to some 80 steps of rtol 1e-12; N is found to rounding
+    assert abs(angle_of(run) - exact) < 1e-10
+    # the start is 1e-6 off the top: the limit is 4e-13 away, which the run resolves
+    assert abs(angle_of(run) - jnp.arccos(10.0 / 17.0)) < 1e-10
+    # the last output is not reached
+    assert np.isnan(np.asarray(run.position)[1]).all()
+    np.testing.assert_array_equal(run.events["lift-off"].times, run.final_time[None])
+
+
+# Central differences of order h^8, over h
+EIGHTH = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+AWAY = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
+
+
+def test_derivative_of_a_time_of_lift_off():
+    """Against differences of the run, and of the angle against its closed form."""
+    ends = lambda x: jnp.stack([(run := leaving(x)).final_time, angle_of(run)])
+    angle, h = jnp.asarray(0.05), 1e-3
+    of_time = jax.grad(lambda x: leaving(x).final_time)
+    every = jax.jit(lambda x, y: (jax.jacfwd(ends)(x), of_time(x), jax.vmap(ends)(y)))
+    first, backward, values = every(angle, angle + h * AWAY)
+    # t = -ln(a) / k + ... with k = 2.5 / s: h^8 8! / (k a^9) / 630 = 1e-11; runs differ
+    # by 1e-12 of roundings and steps, over h
+    assert abs(EIGHTH @ values[:, 0] / h - first[0]) < 1e-8
+    assert abs(backward - first[0]) < 1e-10 * abs(first[0])
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    exact = 10.0 / 17.0 * s / jnp.sqrt(1.0 - (10.0 / 17.0 * c) ** 2)
+    # tangents of 70 steps of rtol 1e-12, which grow by 1 / angle
+    assert abs(first[1] - exact) < 1e-8
+
+
+# -- many runs, and traced ones --------------------------------------------------------
+
+HEIGHT = rk.Event.section((0.0, 0.0, 1.0), 1.0, -1, name="lower")
+ANGLES = jnp.linspace(0.05, 0.4, 21)
+
+
+@functools.cache
+def many():
+    starts = jax.vmap(beside_top)(ANGLES)
+    how = {"rtol": 1e-9, "events": HEIGHT, "stop": "lift-off"}
+    return rk.ensemble(ON_TOP, starts, (0.0, 0.6, 1.2), **how)
+
+
+def alone(angle):
+    how = {"rtol": 1e-9, "events": HEIGHT, "stop": "lift-off"}
+    return rk.simulate(ON_TOP, beside_top(angle), (0.0, 0.6, 1.2), **how)
+
+
+def test_members_of_an_ensemble_stop_alone():
+    found = many()
+    assert found.method == "native"
+    stopped = np.asarray(found.code) == rk.Code.STOPPED
+    assert 0 < stopped.sum() < ANGLES.size
+    ends = found.events["lift-off"]
+    assert ends.times.shape == (ANGLES.size, 1)
+    np.testing.assert_array_equal(ends.count, stopped)
+    np.testing.assert_array_equal(ends.times[stopped, 0], found.final_time[stopped])
+    assert np.isnan(np.asarray(ends.times)[~stopped]).all()
+    assert found.events["lower"].times.shape == (ANGLES.size, 16)
+    assert sum(found.reasons.values()) == ANGLES.size
+    assert any(reason.endswith('"lift-off"') for reason in found.reasons)
+    # outputs behind the end are not reached
+    late = np.asarray(found.final_time)[:, None] < np.asarray(found.time)
+    lost = np.isnan(np.asarray(found.state.angular_velocity)).all(-1)
+    np.testing.assert_array_equal(late, lost)
+
+
+def test_runs_alone_in_batches_and_in_ensembles_are_the_same():
+    batch = jax.jit(jax.vmap(alone))(ANGLES)
+    found = many()
+    assert batch.events["lower"].times.shape == (ANGLES.size, 16)
+    for name, own in found.events.items():
+        other = batch.events[name]
+        np.testing.assert_array_equal(own.count, other.count)
+        # the same steps in lanes of the same loop
+        np.testing.assert_allclose(own.times, other.times, rtol=0, atol=1e-14)
+    one = alone(ANGLES[-1])
+    assert int(one.steps) == int(found.steps[-1])
+    ends = one.events["lift-off"]
+    # a lane's roots of errors are another's to rounding, and so are steps and states
+    np.testing.assert_allclose(ends.times, found.final_time[-1:], rtol=0, atol=1e-11)
+    assert ends.times.shape == (1,)
+
+
+# -- what cannot be known --------------------------------------------------------------
+
+
+def test_a_run_goes_as_far_as_its_events_are_known():
+    scene, start = tilted(pull=1.4)
+    hidden = lambda s, t, y: jnp.sqrt(0.5 - place_of(s, t, y)[0]) + 1.0
+    before = lambda s, t, y: jnp.sqrt(0.5 - place_of(s, t, y)[0]) - 0.1
+    events = (rk.Event(hidden, name="hidden"), rk.Event(before, name="before"))
+    run = rk.simulate(scene, start, (0.0, 2.0), events=events)
+    assert int(run.code) == rk.Code.EVENT_NOT_FINITE
+    assert run.reason.endswith('"hidden"')
+    # x = t^2 / 2 = 0.5; steps become as short as the clock tells, 10 roundings of 2 s,
+    # one in five of which is left; the run's own error is 30 rtol of it, 3e-8
+    assert abs(run.final_time - 1.0) < 1e-7
+    # x = 0.49
+    assert abs(run.events["before"].times[0] - 0.98**0.5) < 1e-7
+    blind = rk.Event(lambda s, t, y: jnp.log(-1.0 - t), name="blind")
+    lost = rk.simulate(scene, start, (0.0, 2.0), events=blind)
+    assert int(lost.code) == rk.Code.EVENT_NOT_FINITE
+    assert lost.final_time == 0.0
+    assert lost.reason.endswith('"blind"')
+
+
+def test_two_zeros_within_a_step_are_missed_and_outputs_find_them():
+    """What is found are changes of the sign between the ends of steps."""
+    scene, start = tilted()
+    dip = rk.Event(lambda s, t, y: (t - 1.0) ** 2 - 1e-6, name="dip")
+    seldom = rk.simulate(scene, start, (0.0, 2.0), events=dip)
+    assert int(seldom.events["dip"].count) == 0
+    often = rk.simulate(scene, start, (0.0, 1.0, 2.0), events=dip)
+    found = np.asarray(often.events["dip"].times)
+    # roundings of values of 1e-6 over a rate of 2e-3, of two halves of the time's
+    np.testing.assert_allclose(found, [0.999, 1.001], rtol=0, atol=8 * EPS)
+
+
+def test_derivatives_of_what_only_touches_zero_are_not_known():
+    scene, start = tilted()
+
+    def touching(x):
+        event = rk.Event(lambda s, t, y: (t - 1.0) ** 2 * x, name="touch")
+        run = rk.simulate(scene, start, (0.0, 1.0, 2.0), events=event)
+        return run.events["touch"].times[0]
+
+    time, moved = jax.jvp(touching, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
+    assert time == 1.0
+    assert np.isnan(moved)
+
+
+def test_backwards_an_event_is_found_in_the_order_of_the_run():
+    scene, start = tilted(pull=0.0, v=1.0)
+    how = [{"direction": way, "name": f"{way}"} for way in (-1, 0, 1)]
+    events = [rk.Event(Passes(0, jnp.asarray(-0.7)), **way) for way in how]
+    run = rk.simulate(scene, start, (2.0, 0.0), events=events)
+    # a uniform motion: its roundings over a rate of one
+    for name in ("-1", "0"):
+        times = run.events[name].times
+        np.testing.assert_allclose(times, [1.3], rtol=0, atol=32 * EPS)
+    assert run.events["1"].times.size == 0
