@@ -375,3 +375,85 @@ def test_backwards_an_event_is_found_in_the_order_of_the_run():
         times = run.events[name].times
         np.testing.assert_allclose(times, [1.3], rtol=0, atol=32 * EPS)
     assert run.events["1"].times.size == 0
+
+
+# -- with changes of the contact -------------------------------------------------------
+
+MU, G, SPEED = 0.2, 9.81, 3.0
+SLIDES = rk.Scene(BALL, contact=rk.Slipping(rk.CoulombFriction(MU)))
+MODES = rk.Modes(friction=MU)
+EARLY, LATE = rk.Event(Passes(0, jnp.asarray(0.5)), name="early"), Passes(0, 2.0)
+
+
+def bowled(speed):
+    """It slides by ``v t - mu g t^2 / 2`` until it rolls at 5/7 v."""
+    velocity = jnp.stack([speed, 0.0 * speed, 0.0 * speed])
+    start = rk.place(SLIDES, UP, STILL, STILL, velocity=velocity)
+    stop = rk.Event(LATE, name="late")
+    how = {"modes": MODES, "events": EARLY, "stop": stop, "rtol": 1e-11}
+    return rk.simulate(rk.Scene(BALL), start, (0.0, 0.7, 2.0), **how)
+
+
+def known_bowl(speed):
+    early = (speed - jnp.sqrt(speed**2 - 2.0 * MU * G * 0.5)) / (MU * G)
+    rolls = 2.0 * speed / (7.0 * MU * G)
+    at = speed * rolls - 0.5 * MU * G * rolls**2
+    return jnp.stack([early, rolls + (2.0 - at) / (5.0 / 7.0 * speed)])
+
+
+def seen_of(run):
+    """Times of both events, and the end."""
+    times = [run.events[name].times[0] for name in ("early", "late")]
+    return jnp.stack([*times, run.final_time])
+
+
+def test_events_while_a_ball_slides_and_rolls():
+    run = bowled(jnp.asarray(SPEED))
+    assert run.method == "native"
+    assert int(run.code) == rk.Code.STOPPED
+    early, late = known_bowl(jnp.asarray(SPEED))
+    # some 100 steps of rtol 1e-11 of lengths of 2 m, over 2 m/s
+    np.testing.assert_allclose(seen_of(run), [early, late, late], rtol=0, atol=1e-9)
+    modes = [int(run.events[name].states.mode[0]) for name in ("early", "late")]
+    assert modes == [rk.Mode.SLIPPING, rk.Mode.ROLLING]
+    assert np.isnan(np.asarray(run.position)[2]).all()
+    assert int(run.switches.count) == 1
+
+
+@pytest.mark.slow
+def test_events_move_through_changes_of_the_contact():
+    f = lambda speed: seen_of(bowled(speed))
+    speed = jnp.asarray(SPEED)
+    early, late = jax.jacfwd(known_bowl)(speed)
+    # tangents of the same steps, of order one
+    known = [early, late, late]
+    np.testing.assert_allclose(jax.jacfwd(f)(speed), known, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(jax.jacrev(f)(speed), known, rtol=0, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_values_that_jump_at_impacts_and_lift_offs_are_found_there(method):
+    vertical = lambda s, t, y: y.velocity[2] if hasattr(y, "velocity") else 0.0 * t
+    events = [rk.Event(vertical, way, name=name) for way, name in BOUNCING.items()]
+    dropped = rk.release(rk.Scene(BALL), UP, STILL, (0.0, 0.0, 1.0 + RADIUS), STILL)
+    modes = rk.Modes(friction=MU, restitution=0.5)
+    how = {"modes": modes, "events": events, "method": method}
+    run = rk.simulate(rk.Scene(BALL), dropped, (0.0, 2.0), **how)
+    first = (2.0 / G) ** 0.5
+    found = run.events["hit"].times
+    hits = np.asarray(run.switches.time)[: int(run.switches.count)]
+    np.testing.assert_array_equal(found, hits)
+    # it rises and falls by half of the speed before
+    hops = first * (1.0 + np.array([0.0, 1.0, 1.5]))
+    # free flight is exact, impacts are found within 1e-12 of it
+    np.testing.assert_allclose(found[:3], hops, rtol=0, atol=1e-10)
+    middles = first * np.array([1.5, 2.25])
+    np.testing.assert_allclose(run.events["top"].times[:2], middles, rtol=0, atol=1e-10)
+    how = {"modes": rk.Modes(), "stop": "lift-off", "method": method}
+    leaves = rk.simulate(ON_TOP, beside_top(jnp.asarray(0.05)), (0.0, 3.0), **how)
+    assert int(leaves.code) == rk.Code.STOPPED
+    assert leaves.final_time == leaves.switches.time[0]
+
+
+BOUNCING = {-1: "top", 1: "hit"}

@@ -27,6 +27,7 @@ static Search no_search(real t) {
 static real next_try(const Search *s, int jumps, const real *side, const real *begin,
                      const real *off, const int *flat, real x, real tiny) {
     const real low = s->low, high = s->high, middle = (real)0.5 * (low + high);
+    if (high - low <= tiny) return high; /* the step ends behind the zero */
     if ((s->tries >= EVENT_HALVES && s->tries % 2 == 1) || high - low <= 2 * tiny)
         return middle;
     real trial = high;
@@ -34,7 +35,7 @@ static real next_try(const Search *s, int jumps, const real *side, const real *b
         if (!s->due[e]) continue;
         real root = x - off[e];
         if (flat[e] || !(root >= low && root <= high)) root = middle;
-        if (jumps && begin[e] * side[e] < 0) root = 0;
+        if (jumps && begin[e] * side[e] <= 0) root = 0;
         if (root < trial) trial = root;
     }
     return trial < low + tiny ? low + tiny : trial > high - tiny ? high - tiny : trial;
@@ -47,7 +48,8 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
                    const real *values) {
     const real x = t1 - t0;
     const int begins = !*active;
-    int crossed[EVENTS], near[EVENTS], flat[EVENTS], hits = 0, counted = 0;
+    const real apart_before = begins ? x : s->high - s->low;
+    int crossed[EVENTS], near[EVENTS], flat[EVENTS], hits = 0;
     real off[EVENTS];
     if (begins) {
         s->low = 0, s->high = x, s->last = 0, s->whole = x, s->tries = 0;
@@ -67,12 +69,16 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
         const real rise = values[e] - s->seen[e];
         flat[e] = rise == 0 || apart == 0 || !(rise - rise == 0);
         off[e] = values[e] * apart / (flat[e] ? 1 : rise);
-        const int known = !flat[e] && EVENT_FLAT * C(fabs)(rise) >= s->mean[e] * C(fabs)(apart);
-        near[e] = values[e] == 0 || (known && C(fabs)(off[e]) <= tiny);
+        const int known =
+            !flat[e] && EVENT_FLAT * C(fabs)(rise) >= s->mean[e] * C(fabs)(apart);
+        /* a value that is zero may have been so before */
+        near[e] = known && C(fabs)(off[e]) <= tiny && values[e] != 0;
         all &= near[e] || !crossed[e];
         one |= near[e] && s->due[e];
     }
-    const int closed = s->high - s->low <= tiny, done = closed || (hits ? all : one);
+    /* a closed bracket's end behind the zero is tried again, once: it may be rounded */
+    const int shut = s->high - s->low <= tiny && (hits || (!begins && apart_before <= tiny));
+    const int done = shut || (hits ? all : one && !(s->high - s->low <= tiny));
     const real trial = next_try(s, begins, side, begin, off, flat, x, tiny);
     s->last = x, s->tries++;
     memcpy(s->seen, values, sizeof s->seen);
@@ -82,16 +88,14 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
     const real own = least > 4 * tiny ? least : 4 * tiny;
     int found[EVENTS];
     for (int e = 0; e < EVENTS; e++) {
-        found[e] = (hits ? crossed[e] : s->due[e] && (near[e] || closed)) ||
-                   (s->due[e] && near[e]);
+        found[e] = (hits && crossed[e]) || (s->due[e] && (near[e] || shut));
         /* a zero right behind the one before, or the start, is that one */
         s->fires[e] = found[e] && !(t1 - s->zero[e] <= own);
-        counted |= s->fires[e];
     }
     for (int e = 0; e < EVENTS; e++) {
         if (found[e]) side[e] = -side[e];
-        else if (counted && values[e] != 0) side[e] = sign_one(values[e]);
+        else if (values[e] != 0) side[e] = sign_one(values[e]);
         if (s->fires[e]) s->zero[e] = t1;
     }
-    return counted ? 0 : s->whole;
+    return 0;
 }

@@ -214,18 +214,34 @@ def bound(event: Event, field: str, scene: Any, t: Array, state: Any) -> Event:
     Raises:
         FieldError: its function cannot be traced, or gives no single real number.
     """
-    known = event, scene, t, state
-    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(known))
-    form = tree, tuple((jnp.shape(x), jnp.result_type(x)) for x in leaves)
-    try:
-        closes = _closes_over_traced(field, form)
-    except TypeError:  # a function that has no hash
-        closes = _closes_over_traced.__wrapped__(field, form)
-    if not closes:
+    if not _hides(event, field, scene, t, state):
         return event
     opened = eqx.filter_closure_convert(event.function, scene, t, state)
     how = event.direction, event.stop, event.name, event.most
     return Event(opened, *how)
+
+
+def refuse_closure(event: Event, field: str, scene: Any, t: Array, state: Any) -> None:
+    """Refuse an event that does not fit a mode, or hides traced numbers in it.
+
+    Raises:
+        FieldError: it does.
+    """
+    if _hides(event, field, scene, t, state):
+        problem = "closes over a traced number, which it cannot do with modes"
+        remedy = "give an equinox module that holds the number"
+        raise FieldError(field, event.function, problem, remedy)
+
+
+def _hides(event: Event, field: str, scene: Any, t: Array, state: Any) -> bool:
+    """Whether an event closes over traced numbers."""
+    known = event, scene, t, state
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(known))
+    form = tree, tuple((jnp.shape(x), jnp.result_type(x)) for x in leaves)
+    try:
+        return _closes_over_traced(field, form)
+    except TypeError:  # a function that has no hash
+        return _closes_over_traced.__wrapped__(field, form)
 
 
 @functools.lru_cache(256)
@@ -247,7 +263,8 @@ def _closes_over_traced(field: str, form: tuple[Any, tuple[Any, ...]]) -> bool:
     try:
         program, found = jax.make_jaxpr(value, return_shape=True)(event, *arguments)
     except Exception as error:
-        problem = f"cannot be traced by JAX ({error})"
+        first = str(error).partition("\n")[0]
+        problem = f"cannot be traced by JAX ({first})"
         raise FieldError(field, shown, problem, remedy) from error
     shape, kind = getattr(found, "shape", None), getattr(found, "dtype", None)
     if shape != () or kind is None:

@@ -59,13 +59,13 @@ class Happened(NamedTuple):
 
     Attributes:
         time: [s], shape (R,): those of each event in order, one event behind the other.
-        y: Packed states, shape (R, n).
+        y: Packed states, shape (R, n), or states with a leading R.
         number: How often each was found, shape (E,).
         by: Which one ended the run; -1: none.
     """
 
     time: Float[Array, " R"]
-    y: Float[Array, "R n"]
+    y: Any
     number: Int[Array, " E"]
     by: Int[Array, ""]
 
@@ -200,17 +200,21 @@ def judged(
     flat = (rise == 0.0) | (apart == 0.0) | ~jnp.isfinite(rise)
     off = values * apart / jnp.where(flat, 1.0, rise)
     known = ~flat & (jnp.abs(rise) >= FLAT * mean * jnp.abs(apart))
-    near = (values == 0.0) | (known & (jnp.abs(off) <= tiny))
+    # a value that is zero may have been so before
+    near = known & (jnp.abs(off) <= tiny) & (values != 0.0)
     closed = high - low <= tiny
-    done = closed | jnp.where(hits, jnp.all(near | ~crossed), jnp.any(near & due))
-    fires = jnp.where(hits, crossed, due & (near | closed)) | (due & near)
+    # a closed bracket's end behind the zero is tried again, once: it may be rounded
+    again = ~begins & (s.high - s.low <= tiny)
+    shut = closed & (hits | again)
+    before = jnp.any(near & due) & ~closed
+    done = shut | jnp.where(hits, jnp.all(near | ~crossed), before)
+    fires = (hits & crossed) | (due & (near | shut))
     searching = hits | s.active
     # a zero right behind the one before, or the start, is that one
     own = t1 - s.zero <= jnp.maximum(START * np.finfo(x.dtype).eps * whole, 4.0 * tiny)
     found = good & searching & done
     counted = fires & ~own & found
-    again = found & ~jnp.any(counted)
-    stands = good & (~searching | (found & ~again))
+    stands = good & (~searching | done)
     side = jnp.where(values == 0.0, s.side, jnp.sign(values))
     side = jnp.where(stands, side, s.side)
     side = jnp.where(found & fires, -s.side, side)
@@ -218,7 +222,7 @@ def judged(
     trial = _next(s, begins, (low, high, tiny), x, off, flat, due, tries)
     following = Search(
         side=side,
-        zero=jnp.where(counted & stands, t1, s.zero),
+        zero=jnp.where(counted, t1, s.zero),
         values=jnp.where(stands, values, s.values),
         active=active,
         low=low,
@@ -230,7 +234,7 @@ def judged(
         whole=whole,
         tries=tries + 1,
     )
-    return Found(stands, counted & stands, jnp.where(again, whole, trial), following)
+    return Found(stands, counted, trial, following)
 
 
 def _next(
@@ -250,10 +254,11 @@ def _next(
     inside = ~flat & (root >= low) & (root <= high)
     root = jnp.where(inside, root, middle)
     # it jumped between two steps: its zero is where this one begins
-    jumped = begins & (s.values * s.side < 0.0)
+    jumped = begins & (s.values * s.side <= 0.0)
     root = jnp.where(jumped, 0.0, root)
     trial = jnp.min(jnp.where(due, root, high))
     wide = high - low > 2.0 * tiny
     trial = jnp.where(wide, jnp.clip(trial, low + tiny, high - tiny), middle)
     halves = (tries >= HALVES_FROM) & (tries % 2 == 1)
-    return jnp.where(halves, middle, trial)
+    trial = jnp.where(halves, middle, trial)
+    return jnp.where(high - low <= tiny, high, trial)  # the step ends behind the zero

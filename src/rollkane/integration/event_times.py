@@ -138,8 +138,8 @@ def followed(
     Args:
         rates: ``rates(t, y, model)``.
         field: ``field(event, model, t, y)`` -> the event's value.
-        t: Time [s].
-        y: State there, whose derivative is that at a fixed time.
+        t: Time [s]; it may move by itself, as an output's does that it is on.
+        y: State there, whose derivative is that at this time.
         model: What moves.
         event: What was looked for.
         span: Of the run [s].
@@ -151,18 +151,18 @@ def followed(
 @followed.def_jvp
 def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     rates, field, t, y, model, event, span = primals
-    _, _, _, *dots, _ = tangents
+    _, _, *dots, _ = tangents
     t, y = _known_once(t), _known_once(y)
     happened = t == t
-    given, tree = cast(_Flat, jax.tree.flatten((y, model, event)))
+    given, tree = cast(_Flat, jax.tree.flatten((t, y, model, event)))
     changes = cast("list[Any]", tree.flatten_up_to(tuple(dots)))
     moves = [i for i, dot in enumerate(changes) if dot is not None]
 
-    def value(t: Array, moving: Sequence[Array]) -> Array:
+    def value(moving: Sequence[Array]) -> Array:
         every = list(given)
         for i, x in zip(moves, moving, strict=True):
             every[i] = x
-        y, model, event = cast("list[Any]", jax.tree.unflatten(tree, every))
+        t, y, model, event = cast("list[Any]", jax.tree.unflatten(tree, every))
         return field(event, model, t, y)
 
     def at_rates(t: Array, y: Array) -> Array:
@@ -172,16 +172,16 @@ def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     known: Callable[[Array], Array] = lambda x: jnp.where(happened, x, 0.0)
     speed = rates(t, y, model)
     found, slope = jax.jvp(at_rates, (t, y), (jnp.ones_like(t), speed))
-    slopes = cast("Callable[..., list[Array]]", jax.grad(value, argnums=1))
-    by = slopes(t, [given[i] for i in moves])
+    by = cast("list[Array]", jax.grad(value)([given[i] for i in moves]))
     # a value that jumped through zero, or grazes it, has no derivative
     loose = np.sqrt(np.finfo(y.dtype).eps) * span * jnp.abs(slope)
     inverse = known(jnp.where(jnp.abs(found) <= loose, -1.0, jnp.nan) / slope)
-    t_dot = jnp.zeros_like(t)
+    shift = jnp.zeros_like(t)
     for i, coefficients in zip(moves, by, strict=True):
-        t_dot = t_dot + inverse * jnp.sum(known(coefficients) * changes[i])
-    y_dot = jnp.zeros_like(y) if dots[0] is None else dots[0]
-    return (t, y), (t_dot, y_dot + known(speed) * t_dot)
+        shift = shift + inverse * jnp.sum(known(coefficients) * changes[i])
+    given_dots = zip((t, y), dots[:2], strict=True)
+    filled = [jnp.zeros_like(x) if dot is None else dot for x, dot in given_dots]
+    return (t, y), (filled[0] + shift, filled[1] + known(speed) * shift)
 
 
 @jax.custom_jvp

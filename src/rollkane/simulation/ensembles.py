@@ -30,7 +30,7 @@ from ..validation.checks import FieldError, is_traced, whole
 from ..validation.codes import Fields
 from .ensemble_members import members_of
 from .ensemble_result import Ensemble
-from .event_record import EventRecord, events_of, record_of
+from .event_record import EventRecord, events_in_modes, events_of, record_of
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .run import simulate
 from .run_checks import check_span, check_start
@@ -192,7 +192,8 @@ class _Run:
         }
         self.lanes, self.method = None, method
         at = jnp.asarray(self.times[0])
-        self.events = events_of(events, stop, scene, at, start, "ensemble")
+        looked_for = events_of if modes is None else events_in_modes
+        self.events = looked_for(events, stop, scene, at, start, "ensemble")
         if self.events:
             self.how["events"] = self.events
         if not self.traced:

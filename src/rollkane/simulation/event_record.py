@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..codegen.event_layout import Layout
-from ..dynamics.events import Event, bound, known_event
+from ..dynamics.events import Event, bound, known_event, refuse_closure
+from ..hybrid.modes import HybridScene, of, slipping
 from ..integration.event_search import Happened, layout_of
 from ..validation.checks import FieldError, is_traced
 
@@ -112,7 +113,45 @@ def events_of(
     Raises:
         FieldError: no events, or two of one name.
     """
-    found: list[Event] = []
+    found = _named(given, stop, where)
+    return tuple(bound(event, field, scene, t, state) for field, event in found)
+
+
+def events_in_modes(
+    given: Any,
+    stop: Any,
+    scene: HybridScene,
+    t: Array,
+    start: Any,
+    where: str = "simulate",
+) -> tuple[Event, ...]:
+    """The events of a run that rolls, slips and flies; each fits all of its modes.
+
+    Raises:
+        FieldError: as :func:`events_of`.
+    """
+    found = _named(given, stop, where)
+    if not found:
+        return ()
+
+    def in_each(scene: HybridScene, start: Any) -> list[Any]:
+        scenes, state, mu = scene.in_modes, of(start), scene.modes.friction
+        kinds: list[Any] = [(scenes.rolling, state.rolling())]
+        kinds.append((scenes.flying, state.flying()))
+        if mu is not None:
+            slides = slipping(scenes.rolling, mu, state.slip, state)
+            kinds.append((slides, state.sliding()))
+        return kinds
+
+    for field, event in found:
+        for own, state in cast("list[Any]", jax.eval_shape(in_each, scene, start)):
+            refuse_closure(event, field, own, t, state)
+    return tuple(event for _, event in found)
+
+
+def _named(given: Any, stop: Any, where: str) -> list[tuple[str, Event]]:
+    """Events with names of their own, each with the field that it was given in."""
+    found: list[tuple[str, Event]] = []
     for field, wanted, stops in (
         (f"{where}.events", given, False),
         (f"{where}.stop", stop, True),
@@ -123,13 +162,13 @@ def events_of(
             name = event.name or f"event {len(found)}"
             most = 1 if stopping else event.most
             event = Event(event.function, event.direction, stopping, name, most)
-            found.append(bound(event, f"{field}[{i}].function", scene, t, state))
-    names = [event.name for event in found]
+            found.append((f"{field}[{i}].function", event))
+    names = [event.name for _, event in found]
     for name in names:
         if names.count(name) > 1:
             problem, remedy = "is the name of several events", "give each name= its own"
             raise FieldError(f"{where}.events", name, problem, remedy)
-    return tuple(found)
+    return found
 
 
 def _listed(given: Any) -> list[Any]:

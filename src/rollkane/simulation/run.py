@@ -45,7 +45,7 @@ from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
-from .event_record import events_of, record_of
+from .event_record import events_in_modes, events_of, record_of
 from .run_checks import check_law, check_modes, check_span, check_start
 from .trajectory import Trajectory
 
@@ -155,10 +155,9 @@ def simulate(
     }
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
     if modes is not None:
-        _refuse("modes", options | {"events": bool(events), "stop": stop is not None})
-        return _simulate_modes(
-            scene, start, times, modes, rtol, atol, solver, max_steps, looks, method
-        )
+        _refuse("modes", options)
+        how = rtol, atol, solver, max_steps, looks, method, events, stop
+        return _simulate_modes(scene, start, times, modes, *how)
     foreign = {"second_contact": looks}
     foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
     if method == "native":
@@ -239,6 +238,8 @@ def _simulate_modes(
     max_steps: int | None,
     looks: bool,
     method: str,
+    events: Any,
+    stop: Any,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
     check_modes(start, modes)
@@ -254,6 +255,7 @@ def _simulate_modes(
     rtol, atol = tolerances(rtol, atol, dtype)
     check_steps(max_steps, None)
     scene = HybridScene(scene, modes)
+    watched = events_in_modes(events, stop, scene, jnp.asarray(times[0]), start)
     run = functools.partial(
         _run_modes,
         scene,
@@ -266,11 +268,12 @@ def _simulate_modes(
         default_solver(rtol) if solver is None else solver,
         UNRECORDED_STEPS if max_steps is None else max_steps,
         looks,
+        watched,
     )
     refusal = without_native(None, {})
-    outcome, method, why = run_by(
-        method, refusal, ("modes", looks), (scene, start), run
-    )
+    model = (scene, start, watched) if watched else (scene, start)
+    outcome, method, why = run_by(method, refusal, ("modes", looks), model, run)
+    found = outcome.happened
     return Trajectory(
         time=jnp.asarray(times),
         state=outcome.state,
@@ -282,6 +285,7 @@ def _simulate_modes(
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
         fault=outcome.fault,
+        event_record=None if found is None else record_of(watched, found),
         method=method,
         why=why,
     )
@@ -304,6 +308,7 @@ def _through_changes(
     solver: dfx.AbstractSolver[Any],
     max_steps: int,
     looks: bool,
+    events: tuple[Event, ...],
 ) -> HybridOutcome:
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
@@ -312,6 +317,7 @@ def _through_changes(
         *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
         allowed=allowed,
         native=native,
+        events=events,
     )
 
 
