@@ -2,6 +2,7 @@
 
 from . import kane as kane
 from .dynamics.bodies import Body as Body
+from .dynamics.events import Event as Event
 from .dynamics.friction import CoulombFriction as CoulombFriction
 from .dynamics.friction import StribeckFriction as StribeckFriction
 from .dynamics.friction import ViscousFriction as ViscousFriction
@@ -87,6 +88,7 @@ from .paper.quasi_velocities import paper_quantities as paper_quantities
 from .simulation.ensembles import Ensemble as Ensemble
 from .simulation.ensembles import ensemble as ensemble
 from .simulation.ensembles import ensemble_blocks as ensemble_blocks
+from .simulation.event_record import Crossings as Crossings
 from .simulation.run import simulate as simulate
 from .simulation.trajectory import Trajectory as Trajectory
 from .stability.branch import Branch as Branch

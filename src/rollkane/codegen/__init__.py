@@ -6,9 +6,10 @@ lanes goes through memory a hundred times; a kernel of our own keeps it in regis
 
 from .compiler import NoCompilerError
 from .derivative_loops import CotangentLoop, Rates, TangentLoop, Way
+from .event_layout import Layout
 from .ffi_call import check_usable
 from .lane_loop import LaneLoop, Queue, Results, Stops
-from .right_hand_side import zeros_of
+from .right_hand_side import Looked, zeros_of
 from .run_loop import Course, RunLoop
 from .whole_program import in_one_program, in_one_program_or_not
 
@@ -16,6 +17,8 @@ __all__ = [
     "CotangentLoop",
     "Course",
     "LaneLoop",
+    "Layout",
+    "Looked",
     "NoCompilerError",
     "Queue",
     "Rates",

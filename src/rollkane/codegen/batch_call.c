@@ -2,11 +2,12 @@
  * processor. Before this text: xla_call.h, lane_loop.c, queue.h and threads.h.
  */
 
-enum { TOLD = 4 }; /* final time, code, steps, rejected steps */
+/* final time, code, steps, rejected steps; of events, how often, and which ended the run */
+enum { TOLD = 4 + (EVENTS ? EVENTS + 1 : 0) };
 
 typedef struct {
     Queue q; /* of all */
-    real *y, *final_y, *told;
+    real *y, *final_y, *told, *moments;
     long block;
 } Batch;
 
@@ -22,7 +23,14 @@ static void run_block(void *job, long part) {
     int64_t *steps = malloc(2 * q.count * sizeof *steps), *rejected = steps + q.count;
     real *final_time = malloc(q.count * sizeof *final_time);
     int32_t *code = malloc(q.count * sizeof *code);
-    const Results out = {y, code, final_time, final_y, steps, rejected};
+    Results out = {y, code, final_time, final_y, steps, rejected};
+#if EVENTS
+    const long room = EVENT_CAPACITY * (1 + N);
+    out.moments = all->moments + first * room;
+    out.numbers = calloc(q.count * (EVENTS + 1), sizeof *out.numbers);
+    for (long i = 0; i < q.count * room; i++) out.moments[i] = (real)NAN;
+    for (long i = 0; i < q.count; i++) out.numbers[i * (EVENTS + 1) + EVENTS] = -1;
+#endif
     for (long i = 0; i < q.count * q.outputs * N; i++) y[i] = (real)NAN;
     if (q.stops)
         integrate(&q, &out);
@@ -34,7 +42,13 @@ static void run_block(void *job, long part) {
     for (long i = 0; i < q.count; i++, told += TOLD) {
         told[0] = q.sense * final_time[i], told[1] = (real)code[i];
         told[2] = (real)steps[i], told[3] = (real)rejected[i];
+#if EVENTS
+        for (int e = 0; e <= EVENTS; e++) told[4 + e] = (real)out.numbers[i * (EVENTS + 1) + e];
+#endif
     }
+#if EVENTS
+    free(out.numbers);
+#endif
     free(steps), free(final_time), free(code);
 }
 
@@ -44,6 +58,9 @@ static void run_batch(const Call *call, long b) {
         .y = wanted(call, 0, b),
         .final_y = wanted(call, 1, b),
         .told = wanted(call, 2, b),
+#if EVENTS
+        .moments = wanted(call, 3, b),
+#endif
     };
     const long given = all.q.stops;
     int64_t *slots = malloc((given + 1) * sizeof *slots);

@@ -7,9 +7,14 @@
  * Every lane has a time and a step of its own. One that reaches a stop writes its output
  * and goes on; one that ends takes the next motion of the queue. The steps are those of
  * diffrax's explicit Runge-Kutta methods under its default controller. Time runs forwards
- * in the loop. With RECORD, of one lane, states are kept every BETWEEN steps.
+ * in the loop. With RECORD, of one lane, states are kept every BETWEEN steps. With EVENTS
+ * steps end on them (event_search.c), and lanes may stop there.
  */
-enum { COMPLETED = 0, MAX_STEPS_REACHED, STEP_TOO_SMALL, BAD_START }; /* Code */
+enum { COMPLETED = 0, MAX_STEPS_REACHED, STEP_TOO_SMALL, BAD_START,
+       STOPPED = 12, EVENT_NOT_FINITE }; /* Code */
+#ifndef EVENTS
+#define EVENTS 0
+#endif
 
 typedef struct {
     long count, outputs, stops;
@@ -32,6 +37,10 @@ typedef struct {
 #if RECORD
     real *record, *kept;     /* where steps began, the last one ended; [..][N] */
 #endif
+#if EVENTS
+    real *moments;           /* [count][EVENT_CAPACITY][1 + N]: when, and states there */
+    int64_t *numbers;        /* [count][EVENTS + 1]: how often, and which ended the run */
+#endif
 } Results;
 
 typedef struct {
@@ -39,6 +48,11 @@ typedef struct {
     mask running, failed;
     int64_t steps[LANES], rejected[LANES];
     long motion[LANES], stop[LANES];
+#if EVENTS
+    row side[EVENTS], value[EVENTS]; /* signs that values had last; where the step begins */
+    mask active, stopped, begun; /* where one is looked for, has ended the run; a new run */
+    Search search[LANES];
+#endif
 } Lanes;
 
 /* x^(-1/ORDER) for 1e-12 < x < 1e12: Newton's method, from what the bits of a floating
@@ -85,6 +99,68 @@ INLINE mask unbroken(const Queue *q, const Lanes *a, const row *y, const real *u
 }
 #endif
 
+#if EVENTS
+/* Keep the events that a lane's step ends on. */
+static void keep_events(const Queue *q, const Results *out, Lanes *a, int l, const row *y) {
+    Search *s = &a->search[l];
+    for (int e = 0; e < EVENTS; e++) {
+        if (!s->fires[e]) continue;
+        if (s->number[e] < event_most[e]) {
+            const long place = a->motion[l] * EVENT_CAPACITY + event_first[e] + s->number[e];
+            real *at = out->moments + place * (1 + N);
+            at[0] = q->sense * LANE(a->t_end, l);
+            for (int c = 0; c < N; c++) at[1 + c] = LANE(y[c], l);
+        }
+        s->number[e]++;
+        if (event_ends[e] && !LANE(a->stopped, l)) s->by = e, LANE(a->stopped, l) = YES;
+    }
+}
+
+/* Lanes of those that would stand whose step does not, as an event is behind it; trial
+ * has the lengths of their next tries. */
+static mask look_for_events(const Queue *q, const Results *out, Lanes *a, mask kept,
+                            const row *y, const row *seen, row *trial) {
+    mask some = a->active, looks = mask_of(0);
+    for (int e = 0; e < EVENTS; e++) {
+        const mask crossed = (a->side[e] != 0) & (sign_row(seen[e]) != a->side[e]);
+        some |= crossed & (splat(event_way[e]) != a->side[e]);
+    }
+    some &= kept & a->running;
+    a->active &= kept;
+    for (int l = 0; any(some) && l < LANES; l++) {
+        if (!LANE(some, l)) continue;
+        real side[EVENTS], begin[EVENTS], values[EVENTS];
+        int active = LANE(a->active, l) != 0;
+        for (int e = 0; e < EVENTS; e++) {
+            side[e] = LANE(a->side[e], l), begin[e] = LANE(a->value[e], l);
+            values[e] = LANE(seen[e], l);
+        }
+        const real next = judged(&a->search[l], &active, side, begin, LANE(a->t, l),
+                                 LANE(a->t_end, l), values);
+        LANE(a->active, l) = active ? YES : 0;
+        LANE(looks, l) = next > 0 ? YES : 0;
+        LANE(*trial, l) = next;
+        for (int e = 0; e < EVENTS; e++) LANE(a->side[e], l) = side[e];
+        if (!(next > 0)) keep_events(q, out, a, l, y);
+    }
+    const mask stand = kept & not_row(looks);
+    for (int e = 0; e < EVENTS; e++) {
+        const mask signs = stand & not_row(some) & (seen[e] != 0);
+        a->side[e] = choose_row(signs, sign_row(seen[e]), a->side[e]);
+        a->value[e] = choose_row(stand & a->running, seen[e], a->value[e]);
+    }
+    return looks;
+}
+
+/* Where all events are numbers, at the ends of a step. */
+INLINE mask events_known(const Lanes *a, const row *seen) {
+    mask known = mask_of(1);
+    for (int e = 0; e < EVENTS; e++)
+        known &= (seen[e] == seen[e]) & (a->value[e] == a->value[e]);
+    return known;
+}
+#endif
+
 /* Record where the next step of an only lane begins. */
 INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
 #if RECORD
@@ -98,6 +174,10 @@ INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
 static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahead) {
     const long i = a->motion[l];
     int fresh = 0, ended = i < 0 || LANE(a->failed, l);
+#if EVENTS
+    const int stopped = i >= 0 && LANE(a->stopped, l);
+    ended |= stopped;
+#endif
     if (i >= 0 && LANE(a->t, l) >= q->ends[a->stop[l]]) {
         const long stop = a->stop[l], slot = q->slots[stop];
         if (slot >= 0)
@@ -117,6 +197,16 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
                        : tried >= q->max_steps ? MAX_STEPS_REACHED
                        : a->steps[l] == 0      ? BAD_START
                                                : STEP_TOO_SMALL;
+#if EVENTS
+        if (out->code[i] == COMPLETED && stopped) out->code[i] = STOPPED;
+        if (out->code[i] >= STEP_TOO_SMALL && out->code[i] != STOPPED &&
+            a->search[l].by >= 0)
+            out->code[i] = EVENT_NOT_FINITE;
+        for (int e = 0; e < EVENTS; e++)
+            out->numbers[i * (EVENTS + 1) + e] = a->search[l].number[e];
+        out->numbers[i * (EVENTS + 1) + EVENTS] = a->search[l].by;
+        LANE(a->stopped, l) = LANE(a->active, l) = 0;
+#endif
         out->final_time[i] = LANE(a->t, l);
         for (int c = 0; c < N; c++) out->final_y[i * N + c] = LANE(a->y[c], l);
         out->steps[i] = a->steps[l], out->rejected[i] = a->rejected[l];
@@ -134,6 +224,10 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
         for (int c = 0; c < OWN; c++) LANE(a->own[c], l) = q->own[next * OWN + c];
         note(q, out, a);
         fresh = 1;
+#if EVENTS
+        a->search[l] = no_search(q->time);
+        LANE(a->begun, l) = YES;
+#endif
     }
     LANE(a->running, l) = YES;
     LANE(a->goal, l) = q->ends[a->stop[l]];
@@ -156,6 +250,12 @@ int64_t integrate(const Queue *q, const Results *out) {
     row watch_v[WATCH_ROWS + 1];
     prepare_watch(q->shared, NULL, watch_u, watch_v);
 #endif
+#if EVENTS
+    real event_u[EVENT_NUMBERS + 1];
+    row event_v[EVENT_ROWS + 1], seen[EVENTS];
+    prepare_events(q->shared, NULL, event_u, event_v);
+#endif
+    const int only = q->stops == 1 && !EVENTS;
     for (;;) {
         mask fresh = mask_of(0), moved = mask_of(0);
         for (int l = 0; l < LANES; l++) {
@@ -164,11 +264,21 @@ int64_t integrate(const Queue *q, const Results *out) {
             LANE(fresh, l) = visit(q, out, &a, l, &ahead) ? YES : 0;
         }
         if (!any(a.running)) return turns;
-        a.t_end = choose_row(moved, towards(q->stops == 1, a.goal, a.t, a.wanted), a.t_end);
+        a.t_end = choose_row(moved, towards(only, a.goal, a.t, a.wanted), a.t_end);
         if (any(fresh)) {
             rates(q->sense * a.t, a.y, a.own, q->shared, NULL, u, v, first);
             for (int c = 0; c < N; c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
         }
+#if EVENTS
+        if (any(a.begun)) {
+            rates_events(q->sense * a.t, a.y, a.own, q->shared, NULL, event_u, event_v, seen);
+            for (int e = 0; e < EVENTS; e++) {
+                a.value[e] = choose_row(a.begun, seen[e], a.value[e]);
+                a.side[e] = choose_row(a.begun, sign_row(seen[e]), a.side[e]);
+            }
+            a.begun = mask_of(0);
+        }
+#endif
         mask paused;
         do {
             const row h = a.t_end - a.t, way = h * q->sense;
@@ -186,13 +296,29 @@ int64_t integrate(const Queue *q, const Results *out) {
 #if WATCHED
             size = choose_row(unbroken(q, &a, y, watch_u, watch_v), size, splat((real)1e12));
 #endif
+#if EVENTS
+            rates_events(a.t_end * q->sense, y, a.own, q->shared, NULL, event_u, event_v,
+                         seen);
+            const mask known = events_known(&a, seen);
+            size = choose_row(known, size, splat((real)1e12));
+            row trial = splat(0);
+            const mask good = size < 1;
+            const mask looks = look_for_events(q, out, &a, good, y, seen, &trial);
+            const mask kept = good & not_row(looks);
+#else
             const mask kept = size < 1;
+#endif
             row factor = root(max_row(size, splat((real)1e-12))) * (real)0.9;
             const row least = choose_row(kept, splat(1), splat((real)0.2));
             const row most = choose_row(kept, splat(10), splat((real)0.9));
             factor = min_row(max_row(factor, least), most);
             row dt = h * factor;
+#if EVENTS /* a step that ends on one may be as short as it has to be */
+            mask small = not_row(good) & (h * (real)0.2 < q->dtmin);
+            for (int e = 0; e < EVENTS; e++) small |= a.value[e] != a.value[e];
+#else
             const mask small = dt < q->dtmin;
+#endif
             const mask shortened = kept & (h < a.wanted * (real)0.999);
             dt = choose_row(shortened, max_row(dt, a.wanted), dt);
             const mask go = kept & a.running, refused = not_row(kept) & a.running;
@@ -210,8 +336,23 @@ int64_t integrate(const Queue *q, const Results *out) {
                 LANE(out_of_steps, l) = spent && !arrived ? YES : 0;
             }
             if (any(go)) note(q, out, &a);
+#if EVENTS
+            dt = choose_row(looks, a.wanted, dt);
+#endif
             a.wanted = choose_row(a.running, dt, a.wanted);
-            a.t_end = choose_row(a.running, towards(q->stops == 1, a.goal, a.t, dt), a.t_end);
+            a.t_end = choose_row(a.running, towards(only, a.goal, a.t, dt), a.t_end);
+#if EVENTS
+            a.t_end = choose_row(a.running & looks, a.t + trial, a.t_end);
+            const mask lost = a.running & small & not_row(known);
+            for (int l = 0; any(lost) && l < LANES; l++) {
+                if (!LANE(lost, l)) continue;
+                for (int e = EVENTS - 1; e >= 0; e--)
+                    if (isnan(LANE(seen[e], l)) || isnan(LANE(a.value[e], l)))
+                        a.search[l].by = e;
+            }
+            landed |= a.running & a.stopped;
+            out_of_steps &= not_row(a.stopped);
+#endif
             a.failed |= a.running & (small | out_of_steps);
             paused = a.running & (landed | a.failed);
             a.running &= not_row(paused);

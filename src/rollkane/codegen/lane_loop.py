@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from .compiler import Program, program_of
 from .jaxpr_types import Shaped
-from .right_hand_side import lanes_source
+from .right_hand_side import Looked, lanes_source
 from .runge_kutta_source import attempt_source
 from .tableau import Weights
 
@@ -74,6 +74,10 @@ class Results(NamedTuple):
         turns: Steps of the whole row of lanes, waited through or not.
         fault: Of each motion, which field cannot be used, shape (M,); None: not looked
             at here.
+        moments: When events happened [s] and the states there, shape (M, R, 1 + n);
+            unused places NaN. None where none are looked for.
+        numbers: How often each did, and which one ended the motion, -1: none, shape
+            (M, E + 1).
     """
 
     y: Float[np.ndarray, "M T n"]
@@ -84,6 +88,8 @@ class Results(NamedTuple):
     rejected_steps: Int[np.ndarray, " M"]
     turns: int
     fault: Int[np.ndarray, " M"] | None = None
+    moments: Float[np.ndarray, "M R m"] | None = None
+    numbers: Int[np.ndarray, "M e"] | None = None
 
 
 class LaneLoop:
@@ -104,6 +110,7 @@ class LaneLoop:
         zeros: Sequence[bytes] | None = None,
         extended: bool = False,
         watch: Callable[..., Array] | None = None,
+        events: Looked | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -118,6 +125,7 @@ class LaneLoop:
             extended: Whether it computes with C's long doubles, of 64 bits on most
                 processors, and one motion after the other.
             watch: Vectors that no step may reverse; see ``lanes_source``.
+            events: What is looked for; see ``lanes_source``.
 
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
@@ -127,7 +135,8 @@ class LaneLoop:
         lanes = 1 if extended else lanes
         lanes = 64 // self.dtype.itemsize if lanes is None else lanes
         self.lanes = lanes
-        made = lanes_source(derivative, state, leaves, own, zeros, watch)
+        self._events = None if events is None else events.layout
+        made = lanes_source(derivative, state, leaves, own, zeros, watch, events)
         sizes = [
             math.prod(leaf.shape)
             for leaf, differs in zip(leaves, own, strict=True)
@@ -141,7 +150,7 @@ class LaneLoop:
             "RECORD": 0,
             **made.head,
         }
-        parts = "rows.h", made.text, attempt_source(weights), "lane_loop.c"
+        parts = "rows.h", made.text, attempt_source(weights), *made.loop
         self.source = program_of(self.dtype, lanes, head, parts)
         self._library = Program.of(self.source).loaded()
         self._library.integrate.restype = ctypes.c_int64
@@ -163,6 +172,12 @@ class LaneLoop:
             rejected_steps=np.zeros(count, np.int64),
             turns=0,
         )
+        if self._events is not None:
+            kept, size = self._events.capacity, len(self._events.ways) + 1
+            results = results._replace(
+                moments=np.full((count, kept, 1 + n), np.nan, self.dtype),
+                numbers=np.tile([0] * (size - 1) + [-1], (count, 1)),
+            )
         if not len(stops.ends):
             return results._replace(
                 final_y=np.array(queue.starts, self.dtype),
@@ -181,7 +196,9 @@ class LaneLoop:
             *(x.ctypes.data for x in (*reals, slots)),
             *(queue.time, queue.rtol, queue.dtmin, queue.sense, queue.max_steps),
         )
-        outputs = (ctypes.c_void_p * 6)(*(x.ctypes.data for x in results[:6]))
+        arrays = [*results[:6], results.moments, results.numbers]
+        filled = [x.ctypes.data for x in arrays if x is not None]
+        outputs = (ctypes.c_void_p * len(filled))(*filled)
         turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(outputs))
         return results._replace(turns=turns)
 

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ..validation.checks import is_traced
 from .data_movement import Numbers, as_objects, numbers_of
+from .event_layout import Layout
 from .jaxpr_types import Shaped
 from .scalar_program import NotElementwiseError, Program
 from .scalar_source import (
@@ -25,6 +26,7 @@ from .scalar_source import (
 
 # A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
+_WITH_EVENTS = "event_search.c", "lane_loop.c"
 # Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
 _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 
@@ -46,6 +48,18 @@ def zeros_of(x: Any) -> bytes:
     return found
 
 
+class Looked(NamedTuple):
+    """Events that are looked for along a motion.
+
+    Attributes:
+        values: ``values(t, y, *leaves)`` -> a number of each, shape (E,).
+        layout: Of them.
+    """
+
+    values: Callable[..., Array]
+    layout: Layout
+
+
 class Source(NamedTuple):
     """A right-hand side, with or without what belongs to its derivatives.
 
@@ -56,6 +70,8 @@ class Source(NamedTuple):
         back: Of the cotangents; None where they are not asked for.
         watch: Of the vectors that no step may reverse; None where there are none.
         watched: How many plane vectors those are.
+        events: Of the values of events; None where there are none.
+        layout: Of those.
     """
 
     functions: Functions
@@ -63,24 +79,37 @@ class Source(NamedTuple):
     back: Functions | None = None
     watch: Functions | None = None
     watched: int = 0
+    events: Functions | None = None
+    layout: Layout | None = None
 
     @property
     def head(self) -> dict[str, int]:
         """Sizes that the loop over lanes has to know."""
         watch = self.watch
-        return {
+        sizes = {
             "NUMBERS": self.functions.numbers,
             "ROWS": self.functions.rows,
             "WATCHED": self.watched,
             "WATCH_NUMBERS": 0 if watch is None else watch.numbers,
             "WATCH_ROWS": 0 if watch is None else watch.rows,
         }
+        if self.events is None or self.layout is None:
+            return sizes
+        sizes["EVENT_NUMBERS"] = self.events.numbers
+        sizes["EVENT_ROWS"] = self.events.rows
+        return sizes | self.layout.head
 
     @property
     def text(self) -> str:
         """All functions, in C."""
-        parts = self.functions, self.watch
-        return "\n".join(part.text for part in parts if part is not None)
+        parts = self.functions, self.watch, self.events
+        texts = [part.text for part in parts if part is not None]
+        return "\n".join(texts if self.layout is None else [*texts, self.layout.text])
+
+    @property
+    def loop(self) -> tuple[str, ...]:
+        """The files of the loop over lanes."""
+        return ("lane_loop.c",) if self.events is None else _WITH_EVENTS
 
 
 def lanes_source(
@@ -90,6 +119,7 @@ def lanes_source(
     own: list[bool],
     zeros: Sequence[bytes] | None = None,
     watch: Callable[..., Array] | None = None,
+    events: Looked | None = None,
 ) -> Source:
     """A right-hand side for a row of motions.
 
@@ -102,6 +132,7 @@ def lanes_source(
             they are multiplied by is left out. None: not known of any.
         watch: ``watch(t, y, *leaves)`` -> numbers of plane vectors that no step may
             reverse, one vector behind the other; None for none.
+        events: What is looked for; None for nothing.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
@@ -123,11 +154,18 @@ def lanes_source(
         return made, traced, numbers.size
 
     made, traced, _ = written(derivative, 0, "")
-    if watch is None:
-        return Source(made, traced)
-    behind = sum(math.prod(x.shape) for x in traced)
-    watched, more, size = written(watch, behind, "_watch")
-    return Source(made, [*traced, *more], watch=watched, watched=size // 2)
+    source = Source(made, traced)
+    if watch is not None:
+        behind = sum(math.prod(x.shape) for x in traced)
+        watched, more, size = written(watch, behind, "_watch")
+        closed = [*traced, *more]
+        source = Source(made, closed, watch=watched, watched=size // 2)
+    if events is None:
+        return source
+    behind = sum(math.prod(x.shape) for x in source.closed)
+    seen, more, _ = written(events.values, behind, "_events")
+    closed = [*source.closed, *more]
+    return source._replace(closed=closed, events=seen, layout=events.layout)
 
 
 def _of_lanes(

@@ -10,6 +10,12 @@ static void run_member(void *job, long b) {
     int64_t steps, rejected, *slots = malloc((given + 1) * sizeof *slots);
     real *ends = malloc(2 * (given + 1) * sizeof *ends);
     int32_t code;
+#if EVENTS
+    int64_t numbers[EVENTS + 1] = {0};
+    real *moments = wanted(call, 3, b);
+    for (long i = 0; i < EVENT_CAPACITY * (1 + N); i++) moments[i] = (real)NAN;
+    numbers[EVENTS] = -1;
+#endif
     real *told = wanted(call, 2, b);
     const Results out = {
         .y = wanted(call, 0, b),
@@ -19,8 +25,12 @@ static void run_member(void *job, long b) {
         .steps = &steps,
         .rejected = &rejected,
 #if RECORD
-        .record = wanted(call, 3, b),
-        .kept = wanted(call, 4, b),
+        .record = wanted(call, 3 + (EVENTS > 0), b),
+        .kept = wanted(call, 4 + (EVENTS > 0), b),
+#endif
+#if EVENTS
+        .moments = moments,
+        .numbers = numbers,
 #endif
     };
     for (long i = 0; i < q.outputs * N; i++) out.y[i] = (real)NAN;
@@ -40,6 +50,9 @@ static void run_member(void *job, long b) {
     told[1] = (real)code;
     told[2] = (real)steps;
     told[3] = (real)rejected;
+#if EVENTS
+    for (int e = 0; e <= EVENTS; e++) told[4 + e] = (real)numbers[e];
+#endif
 }
 
 void *called_by_xla(const CallFrame *frame) {

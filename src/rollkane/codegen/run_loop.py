@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from ..validation.checks import is_traced
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
-from .right_hand_side import lanes_source
+from .right_hand_side import Looked, lanes_source
 from .runge_kutta_source import attempt_source, of_bearable_length
 from .scalar_program import NotElementwiseError
 from .tableau import Weights
@@ -59,6 +59,9 @@ class Ended(NamedTuple):
         rejected_steps: The others.
         record: Where steps began, and the last one ended [s], then states where every
             nth step began; any numbers behind. None where they are not wanted.
+        happened: When events did [s] and the states there, shape (R, 1 + n), unused
+            places NaN; how often each did, shape (E,); which one ended the run, -1:
+            none. None where none are looked for.
     """
 
     y: Float[Array, "T-1 n"]
@@ -68,6 +71,7 @@ class Ended(NamedTuple):
     steps: Array
     rejected_steps: Array
     record: tuple[Array, Array] | None
+    happened: tuple[Array, Array, Array] | None = None
 
 
 # a first state, its absolute tolerances and a first step
@@ -89,6 +93,7 @@ class RunLoop:
         zeros: Sequence[bytes] | None = None,
         between: int = 0,
         watch: Callable[..., Array] | None = None,
+        events: Looked | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -100,6 +105,7 @@ class RunLoop:
             zeros: Of each leaf, which numbers are zero; see ``lanes_source``.
             between: How many steps from one recorded state to the next; 0: no record.
             watch: Vectors that no step may reverse; see ``lanes_source``.
+            events: What is looked for; see ``lanes_source``.
 
         Raises:
             NotElementwiseError: the right-hand side is more than arithmetic.
@@ -112,8 +118,14 @@ class RunLoop:
         seen: list[Array] = []
         if watch is not None:
             self._watch, seen = _opened(watch, state, leaves, len(closed))
-        self._leaves = [*leaves, *closed, *seen]
-        self._zeros = [*zeros, *[b""] * (len(closed) + len(seen))]
+        known = [*closed, *seen]
+        self._events = events
+        if events is not None:
+            values, more = _opened(events.values, state, leaves, len(known))
+            self._events = events._replace(values=values)
+            known += more
+        self._leaves = [*leaves, *known]
+        self._zeros = [*zeros, *[b""] * len(known)]
         self._state, self._weights, self._between = state, weights, between
         self._one = self._compiled([False] * len(self._leaves), 1, "run_call.c")
 
@@ -125,7 +137,8 @@ class RunLoop:
             b"" if differs else known
             for known, differs in zip(self._zeros, own, strict=True)
         ]
-        made = lanes_source(self._rates, state, like, own, zeros, self._watch)
+        looked = self._watch, self._events
+        made = lanes_source(self._rates, state, like, own, zeros, *looked)
         record = self._between if lanes == 1 else 0
         sizes = zip(like, own, strict=True)
         head = {
@@ -137,7 +150,9 @@ class RunLoop:
             "BETWEEN": record,
             **made.head,
         }
-        loop = "lane_loop.c", "queue.h", "threads.h", caller
+        if self._events is not None:
+            head |= {"MOST_GIVEN": 9, "MOST_RESULTS": 6}
+        loop = *made.loop, "queue.h", "threads.h", caller
         parts = *of_bearable_length((made.text, attempt_source(weights))), *loop
         return XlaCall(state.dtype, lanes, head, parts)
 
@@ -180,15 +195,23 @@ class RunLoop:
 
         start = y, course.atol, course.first_step
         stops = course.ends, course.begins, course.outputs
-        y, final_y, told, *record = call(self._leaves, start, numbers, *stops)
+        y, final_y, told, *others = call(self._leaves, start, numbers, *stops)
         whole = told[1:].astype(int)
-        steps = (record[0], record[1]) if record else None
-        return Ended(y, final_y, told[0], *whole, record=steps)
+        moments = others.pop(0) if self._events is not None else None
+        steps = (others[0], others[1]) if others else None
+        ended = Ended(y, final_y, told[0], *whole[:3], record=steps)
+        if moments is None:
+            return ended
+        return ended._replace(happened=(moments, whole[3:-1], whole[-1]))
 
     def _shapes(self, outputs: Array) -> list[tuple[int, ...]]:
         """Of a motion's states at the outputs, its last one, and what is told of it."""
         n = self._state.shape[0]
-        return [(outputs.shape[-1], n), (n,), (4,)]
+        shapes = [(outputs.shape[-1], n), (n,)]
+        if self._events is None:
+            return [*shapes, (4,)]
+        layout = self._events.layout
+        return [*shapes, (5 + len(layout.ways),), (layout.capacity, 1 + n)]
 
     def _alone(
         self,

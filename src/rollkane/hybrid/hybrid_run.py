@@ -23,8 +23,9 @@ from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
 from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
+from ..integration.event_search import Happened, layout_of
 from ..integration.integrate import in_order
-from ..integration.solve import without_derivative
+from ..integration.plans import without_derivative
 from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
@@ -35,9 +36,10 @@ from .mode_replay import Path, Place, Record, replayed
 from .modes import HybridScene, HybridState, Mode, ModedState, Switches, of, slipping
 from .step_trial import Allowed, Run, as_it_is
 from .transitions import Motion
+from .user_events import Kept, at_their_zeros, with_places
 
-# Scene, start, output times [s], tolerances, and NaN if the start is spoilt.
-_Inputs: TypeAlias = tuple[HybridScene, HybridState, Array, Array, Array, Array]
+# Scene, start, output times [s], tolerances, NaN if the start is spoilt, and events.
+_Inputs: TypeAlias = tuple[HybridScene, HybridState, Array, Array, Array, Array, Any]
 # Times at which a scene's rates have a corner [s], and whether they may jump there.
 _Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, bool]]
 
@@ -53,6 +55,8 @@ class HybridOutcome(eqx.Module):
     steps: Array
     rejected_steps: Array
     fault: Array  # number of the field that cannot be used
+    kept: Kept | None = None  # events, as the loop left them
+    happened: Happened | None = None  # with states
 
     @property
     def unknown(self) -> "HybridOutcome":
@@ -72,6 +76,7 @@ def integrate_modes(
     corners: _Corners,
     allowed: Allowed | None = None,
     native: bool = False,
+    events: Any = (),
 ) -> HybridOutcome:
     """Integrate through all changes of the mode, to the asked times.
 
@@ -90,6 +95,7 @@ def integrate_modes(
             anywhere.
         native: Whether the loop is compiled as C, and its derivatives where they can
             be; else all by XLA.
+        events: Of the user's own; differentiable.
     """
     mode = Mode.SLIPPING if start.slips else Mode.ROLLING
     mode = mode if start.touches else Mode.FLYING
@@ -103,7 +109,8 @@ def integrate_modes(
     clear: Callable[[Array], Array] = lambda x: cleared(x, good)
     start = jax.tree.map(clear, start)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
-    inputs = scene, start, stops.time, rtol, atol, spoilt
+    fixed = jax.lax.stop_gradient(events)
+    inputs = scene, start, stops.time, rtol, atol, spoilt, fixed
     unknown: Callable[[HybridOutcome], HybridOutcome] = lambda s: s.unknown
     found: HybridOutcome = differentiable(
         runs.solve,
@@ -113,12 +120,61 @@ def integrate_modes(
         twice=_refuse_twice,
         unknown=unknown,
     )
+    if events:
+        found = _with_events(found, runs, scene, times, events, good)
     state = found.state
     if stops.last is not None:
         shown: Callable[[Array], Array] = lambda x: x[stops.last]
         state = jax.tree.map(shown, state)
     code = jnp.where(good, found.code, code_of_fault)
     return dataclasses.replace(found, state=state, code=code, fault=fault)
+
+
+def _with_events(
+    run: HybridOutcome,
+    runs: "_Runs",
+    scene: HybridScene,
+    times: Float[Array, " T"],
+    events: Any,
+    good: Array,
+) -> HybridOutcome:
+    """With events by themselves, as they move, and the end that one made."""
+    kept = run.kept
+    assert kept is not None
+    row = kept.row
+    used = ~jnp.isnan(kept.time)
+
+    def shown(x: Array) -> Array:
+        blank = jnp.asarray(-1 if x.dtype.kind == "i" else jnp.nan, x.dtype)
+        some = used.reshape(-1, *[1] * (x.ndim - 1))
+        return jnp.where(some, x[row], blank)
+
+    # an output's time moves the end of its step
+    asked = with_places(times, row.shape[0])[row]
+    moved = jnp.where(used, asked - jax.lax.stop_gradient(asked), 0.0)
+    found = Happened(
+        kept.time + moved,
+        jax.tree.map(shown, run.state),
+        jnp.where(good, kept.number, 0),
+        jnp.where(good, kept.by, -1),
+    )
+    make: Callable[[HybridScene], Motion] = lambda scene: runs.motion(scene, times)
+    span = jax.lax.stop_gradient(jnp.abs(times[-1] - times[0]))
+    found = at_their_zeros(events, make, scene, found, span)
+    ended = run.code == Code.STOPPED
+    first = jnp.asarray(layout_of(events).firsts)[jnp.maximum(found.by, 0)]
+    last: Callable[[Array, Array], Array] = lambda own, kept: jnp.where(
+        ended, kept[first], own
+    )
+    outputs: Callable[[Array], Array] = lambda x: x[: times.shape[0]]
+    return dataclasses.replace(
+        run,
+        state=jax.tree.map(outputs, run.state),
+        final_time=last(run.final_time, found.time),
+        final_state=jax.tree.map(last, run.final_state, found.y),
+        happened=found,
+        kept=None,
+    )
 
 
 class _Runs(NamedTuple):
@@ -132,22 +188,29 @@ class _Runs(NamedTuple):
     native: bool
 
     def made(self, inputs: _Inputs) -> tuple[Motion, HybridState, Float[Array, " T"]]:
-        """Motion, state and times."""
-        scene, y, times, *_ = inputs
+        """Motion, state and times, those of places for events behind them."""
+        scene, y, times, *_, events = inputs
+        if events:
+            times = with_places(times, layout_of(events).capacity)
+        return self.motion(scene, times), y, times
+
+    def motion(self, scene: HybridScene, times: Float[Array, " T"]) -> Motion:
+        """Rates, events and changes."""
         tableau = tableau_of(self.solver, times.dtype)
-        return Motion(scene.in_modes, scene.modes, tableau), y, times
+        return Motion(scene.in_modes, scene.modes, tableau)
 
     def stepped(
         self, inputs: _Inputs, recording: bool
     ) -> tuple[HybridOutcome, Record | None]:
         """A run by adaptive steps, and its record."""
-        motion, y, times = self.made(inputs)
-        scene, *_, rtol, atol, spoilt = inputs
+        motion, y, _ = self.made(inputs)
+        scene, _, times, rtol, atol, spoilt, events = inputs
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *self.corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
         assert order is not None
-        loop = Loop(motion, times, where, reach, rtol, atol, order, self.allowed)
+        how = rtol, atol, order, self.allowed, events
+        loop = Loop(motion, times, where, reach, *how)
         c = loop.run(jnp.asarray(self.mode), y, self.max_steps, recording)
         return _ended(motion, c, times.shape[0], self.allowed, spoilt), c.record
 
@@ -155,7 +218,14 @@ class _Runs(NamedTuple):
         """The same by recorded steps."""
         motion, y, times = self.made(inputs)
         path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
-        return _outcome(path, t, last, None, None, None)
+        found = _outcome(path, t, last, None, None, None)
+        events = inputs[-1]
+        if not events:
+            return found
+        # where steps ended on events does not move along them
+        fixed = jnp.zeros(layout_of(events).capacity, times.dtype)
+        none = jnp.zeros(0, int)
+        return dataclasses.replace(found, kept=Kept(fixed, none, none, none))
 
     def solve(
         self, inputs: _Inputs, replay: Record | None, adjoint: object
@@ -240,7 +310,9 @@ def _ended(
     spoil: Callable[[Array], Array] = lambda x: (
         x + spoilt if eqx.is_inexact_array(x) else x
     )
-    return eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
+    found = eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
+    left = None if c.watched is None else c.watched.left
+    return dataclasses.replace(found, kept=left)
 
 
 def _refuse_twice(*arguments: object) -> None:

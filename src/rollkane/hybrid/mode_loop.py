@@ -8,10 +8,12 @@ from typing import cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.directed_friction import begins
 from ..geometry.small_linear import dot
+from ..integration.event_search import layout_of
 from ..integration.step_control import first_step
 from ..kinematics.coordinates import pack
 from ..validation.codes import Code
@@ -21,6 +23,14 @@ from .mode_replay import Path, Place, Record, turning
 from .modes import HybridState, Mode
 from .step_trial import Run, Trials, Tried, Verdict
 from .transitions import Begun
+from .user_events import (
+    Look,
+    Watched,
+    behind,
+    first_lost,
+    looked_at,
+    with_places,
+)
 
 # Accepted steps that a derivative can follow: about 0.3 kB each.
 RECORDED_STEPS = 2**14
@@ -57,6 +67,8 @@ class Loop(Trials):
         full = event & (c.path.switches.count >= self.motion.modes.switches)
         lost = event & ~jnp.all(jnp.isfinite(pack(y)))
         accept = verdict.accept & ~full & ~lost
+        look = self.looks_for_events(c, tried, accept)
+        accept = accept if look is None else look.stands
         lands = tried.lands & accept
         # a step ends one number before a jump, even if that is an output
         saves = lands & (jnp.nextafter(tried.t, jnp.inf) >= self.times[c.path.reached])
@@ -65,14 +77,24 @@ class Loop(Trials):
         if self.landings.jumps is not None:
             begin = jnp.where(lands, self.landings.starts[c.landing], tried.t)
             following = after._replace(t=begin)
+        watched, shown = c.watched, output
+        if look is not None and watched is not None:
+            look = behind(self.events, self.motion, look, event & accept, after)
+            layout, outputs = layout_of(self.events), self.times.shape[0]
+            watched = watched._replace(search=look.search, trial=look.trial)
+            watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
         record = c.record
         if record is not None:
-            record = self._recorded(c, tried, verdict, accept, output, following.t)
+            record = self._recorded(c, tried, verdict, accept, shown, following.t)
         code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
         code = jnp.where(lost, self.code_of_loss(at.mode), code)
         values = self.values_after(c, end.values, event, after)
-        return Run(
+        path = c.path.after(shown, event & accept, at.mode, *after)
+        if look is not None:
+            reached = jnp.where(output > 0, path.reached, c.path.reached)
+            path = path._replace(reached=reached)
+        run = Run(
             place=picked(accept, following, at),
             step=verdict.step,
             values=picked(accept, values, c.values),
@@ -80,11 +102,47 @@ class Loop(Trials):
             bracket=verdict.bracket,
             cuts=verdict.cuts,
             landing=jnp.where(lands, self.landings.following(tried.t), c.landing),
-            path=c.path.after(output, event & accept, at.mode, *after),
+            path=path,
             record=record,
             accepted=c.accepted + jnp.where(accept, 1, 0),
             tried=c.tried + 1,
             code=code,
+            watched=watched,
+        )
+        return run if look is None else self.judged_again(c, tried, look, run)
+
+    def looks_for_events(
+        self, c: Run, tried: Tried, accept: Bool[Array, ""]
+    ) -> Look | None:
+        """What a step that is accepted has of the user's events; None without any."""
+        if c.watched is None:
+            return None
+        at, y = c.place, tried.end.y
+        way = self.motion.along(at.mode, at.direction, y)
+        end = Place(tried.t, y, at.mode, way)
+        return looked_at(self.events, self.motion, c.watched, at.t, end, accept)
+
+    def judged_again(self, c: Run, tried: Tried, look: Look, run: Run) -> Run:
+        """What follows a step behind which there was an event, or one on it."""
+        assert run.watched is not None
+        taken = tried.t - c.place.t
+        shorter = 0.2 * taken
+        step = jnp.where(c.looks & look.stands, jnp.maximum(run.step, c.step), run.step)
+        step = jnp.where(look.again, c.step, jnp.where(look.blind, shorter, step))
+        tiny = 4.0 * np.finfo(taken.dtype).eps * (1.0 + jnp.abs(c.place.t))
+        unseen = jnp.any(jnp.isnan(run.watched.search.values))
+        lost = look.blind & (unseen | (shorter <= tiny))
+        by = jnp.where(lost, first_lost(look, run.watched), run.watched.by)
+        stops = look.fires & jnp.asarray(layout_of(self.events).stops)
+        code = jnp.where(jnp.any(stops), Code.STOPPED, run.code)
+        code = jnp.where(look.again | look.blind, c.code, code)
+        refused = look.again | look.blind
+        return run._replace(
+            step=step,
+            searching=run.searching & ~refused,
+            cuts=jnp.where(refused, 0, run.cuts),
+            code=jnp.where(lost, Code.EVENT_NOT_FINITE, code),
+            watched=run.watched._replace(by=by),
         )
 
     def values_after(
@@ -148,6 +206,10 @@ class Loop(Trials):
         mode, direction, y = self.motion.begun(mode, t, y)
         begun, switches = Place(t, y, mode, direction), self.motion.modes.switches
         span = jnp.abs(self.times[-1] - t)
+        watched, places = None, self.times
+        if self.events:
+            watched = Watched.begun(self.events, self.motion, begun)
+            places = with_places(self.times, layout_of(self.events).capacity)
         zero = jnp.zeros_like(t)
         return Run(
             place=begun,
@@ -157,11 +219,12 @@ class Loop(Trials):
             bracket=Bracket(*(zero for _ in Bracket._fields)),
             cuts=whole,
             landing=self.landings.following(t),
-            path=Path.empty(begun.moded, self.times, switches),
+            path=Path.empty(begun.moded, places, switches),
             record=Record.empty(recorded, begun, switches) if recorded else None,
             accepted=whole,
             tried=whole,
             code=whole,
+            watched=watched,
         )
 
 

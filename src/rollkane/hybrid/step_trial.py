@@ -27,6 +27,7 @@ from .mode_rates import Step
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
 from .transitions import Motion
+from .user_events import Watched
 
 _ROOT = 1e-12  # of the event's value at the step's start
 _STAYS = 1e-11  # [s]: so near an event its value falls with each try, or is rounding
@@ -59,6 +60,12 @@ class Run(NamedTuple):
     accepted: Array
     tried: Array
     code: Array
+    watched: Watched | None = None  # events of the user's own
+
+    @property
+    def looks(self) -> Array | bool:
+        """Whether such an event is looked for in this step."""
+        return False if self.watched is None else self.watched.search.active
 
 
 class Tried(NamedTuple):
@@ -96,6 +103,7 @@ class Trials(eqx.Module):
         atol: Absolute tolerance [unit of the state].
         order: That the error estimate counts on.
         allowed: ``allowed(scene, t, state)`` -> whether a step may end there.
+        events: Of the user's own.
     """
 
     motion: Motion
@@ -106,13 +114,18 @@ class Trials(eqx.Module):
     atol: Array
     order: int
     allowed: Allowed | None = eqx.field(static=True)
+    events: Any = ()
 
     def tried(self, c: Run) -> Tried:
         """One step: to the next landing, to where an event may be, or as proposed."""
         at = c.place
         goal = self.landings.ends[c.landing]
         lands = ~c.searching & (goal - at.t <= c.step * (1.0 + 1e-9))
-        length = jnp.where(c.searching, c.bracket.trial, c.step)
+        length = c.step
+        if c.watched is not None:
+            lands &= ~c.watched.search.active
+            length = jnp.where(c.looks, c.watched.trial, length)
+        length = jnp.where(c.searching, c.bracket.trial, length)
         t1 = jnp.where(lands, goal, at.t + length)
         end = self.motion.stepped(at.mode, at.direction, at.t, t1, at.y, True)
         size = jnp.sqrt(jnp.mean((end.error / self.tolerated(at.y, end.y)) ** 2))
@@ -180,7 +193,7 @@ class Trials(eqx.Module):
         size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: too close for anything to happen between
-        blinks = tried.lands & (taken <= tiny) & (size <= 1.0)
+        blinks = (tried.lands | c.looks) & (taken <= tiny) & (size <= 1.0)
         negative = ~(least >= 0.0) & ~blinks
         # where the contact ends, so does its grip: what counts is that it ends
         kind = jnp.where(share[1] <= _TOGETHER, 1, jnp.argmin(share))

@@ -6,9 +6,11 @@ from jaxtyping import Array
 from ..codegen.tableau import weights_of
 from . import replay
 from .differentiate import InputsOf, Pull, Push
+from .event_times import Moments
+from .plans import Plan, Rates, Record, Solution
 from .recorded_steps import Steps
 from .replay import Run
-from .solve import Plan, Rates, Record, Solution, landings_of
+from .solve import landings_of
 
 
 def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
@@ -20,7 +22,7 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
 
     def run_of(
         inputs_of: InputsOf, varied: list[Array], record: Record
-    ) -> tuple[Run, Steps]:
+    ) -> tuple[Run, Steps, Moments | None]:
         def along(t: Array, y: Array, *varied: Array) -> Array:
             return rates(t, y, inputs_of(varied)[0])
 
@@ -28,10 +30,12 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
             return inputs_of(varied)[1]
 
         model, _, times, *_ = inputs_of(varied)
-        begun, count, kept = record
+        begun, count, kept, *events = record
         jumps = landings_of(model, times, plan).jumps
-        steps = Steps.of(begun, count, kept, times, jumps)
-        return Run(along, start, varied, weights), steps
+        moments = Moments.of(times, events[0]) if events else None
+        shown = times if moments is None else moments.time
+        steps = Steps.of(begun, count, kept, shown, jumps)
+        return Run(along, start, varied, weights), steps, moments
 
     def push(
         inputs_of: InputsOf,
@@ -40,13 +44,17 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
         tangents: list[Array],
         once: bool,
     ) -> list[Array]:
-        run, steps = run_of(inputs_of, varied, record)
+        run, steps, moments = run_of(inputs_of, varied, record)
         behind = [jnp.moveaxis(x, 0, -1) for x in tangents]
         y, final_y = (
             jnp.moveaxis(x, -1, 0) for x in replay.push(run, steps, behind, once)
         )
         time = jnp.zeros(y.shape[:2], y.dtype)
-        return [time, y, time[:, 0], final_y]  # as in Solution
+        if moments is None:
+            return [time, y, time[:, 0], final_y]  # as in Solution
+        y, of_events = y[:, moments.outputs], y[:, moments.events]
+        time, none = time[:, : y.shape[1]], time[:, : of_events.shape[1]]
+        return [time, y, time[:, 0], final_y, none, of_events]
 
     def pull(
         inputs_of: InputsOf,
@@ -55,7 +63,10 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
         cotangents: Solution,
         once: bool,
     ) -> list[Array]:
-        run, steps = run_of(inputs_of, varied, record)
-        return replay.pull(run, steps, cotangents.y, cotangents.final_y, once)
+        run, steps, moments = run_of(inputs_of, varied, record)
+        y, found = cotangents.y, cotangents.happened
+        if moments is not None and found is not None:
+            y = moments.together(y, found.y)
+        return replay.pull(run, steps, y, cotangents.final_y, once)
 
     return push, pull

@@ -4,6 +4,7 @@ What moves is a tree of numbers (a model: a scene, a system) and a state; the re
 the library only says which function gives the rates.
 """
 
+import dataclasses
 import functools
 import warnings
 from collections.abc import Callable
@@ -24,18 +25,12 @@ from ..validation.checks import FieldError, cleared, is_traced, real, whole
 from ..validation.codes import NO_FAULT, first_fault
 from .along_steps import by_steps_of
 from .differentiate import differentiable
+from .event_search import Events, Happened
+from .event_times import at_their_zeros
 from .output_times import in_time, moved_in_time, not_by_times
+from .plans import Allowed, Inputs, Plan, Problem, Record, Solution
 from .projection import Projected
-from .solve import (
-    Allowed,
-    Inputs,
-    Plan,
-    Problem,
-    Record,
-    Solution,
-    plain,
-    solve,
-)
+from .solve import plain, solve
 from .step_control import Stops, of_times, stops_of
 
 # Relative tolerance above which a step may be as wrong as it is long.
@@ -58,6 +53,8 @@ class Outcome(eqx.Module):
         rejected_steps: Rejected steps.
         fault: Which number of model, start or times cannot be used; see
             :class:`rollkane.validation.codes.Fields`.
+        happened: Events that were found, with states for ``y``; None where none were
+            looked for.
     """
 
     time: Float[Array, " T"]
@@ -68,6 +65,7 @@ class Outcome(eqx.Module):
     steps: Array
     rejected_steps: Array
     fault: Array
+    happened: Happened | None = None
 
 
 def integrate(
@@ -87,6 +85,7 @@ def integrate(
     progress_meter: dfx.AbstractProgressMeter[Any] | None,
     native: bool = False,
     allowed: Allowed | None = None,
+    events: Events = (),
 ) -> Outcome:
     """Integrate a start to the asked times; see ``rollkane.simulate``.
 
@@ -108,6 +107,7 @@ def integrate(
             and no controller, adjoint, ``saveat`` and progress meter of the user's.
         allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
             anywhere.
+        events: What is looked for along the run; differentiable.
 
     Raises:
         FieldError: tolerances out of range.
@@ -134,9 +134,9 @@ def integrate(
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
     call = _around_loop if native else _integrate
     if stepsize_controller is None and saveat is None:
-        return call(plan, None, model, start, times, stops, numbers, dt0)
+        return call(plan, None, model, start, times, stops, numbers, dt0, events)
     arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
-    return call(plan, arrays, model, start, times, stops, numbers, dt0)
+    return call(plan, arrays, model, start, times, stops, numbers, dt0, events)
 
 
 def _integrated(
@@ -148,6 +148,7 @@ def _integrated(
     stops: Stops,
     tolerances: list[Array],
     dt0: Float[Array, ""] | None,
+    events: Events,
 ) -> Outcome:
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
 
@@ -167,7 +168,7 @@ def _integrated(
     ) -> tuple[Solution, Record | None]:
         *others, spoilt = inputs
         found, record = solve(plan, rates, like, tuple(others), replay, adjoint)
-        numbers: Callable[[Solution], Any] = lambda s: (s.y, s.final_y)
+        numbers: Callable[[Solution], Any] = lambda s: s.states
         return eqx.tree_at(numbers, found, replace_fn=lambda x: x + spoilt), record
 
     fault, code_of_fault = first_fault(model, start, in_order(times))
@@ -182,7 +183,8 @@ def _integrated(
     sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
-    inputs = (model, y0, fixed_stops, rtol, atol, dt0, spoilt)
+    fixed_events = jax.lax.stop_gradient(events)
+    inputs = (model, y0, fixed_stops, rtol, atol, dt0, fixed_events, spoilt)
     if plan.adjoint is None:
         by_steps = by_steps_of(plan, rates) if plain(plan, times) else (None, None)
         solution = differentiable(
@@ -196,15 +198,33 @@ def _integrated(
         refused = not_by_times(jnp.zeros_like(times[0]), times)
         numbers: Callable[[Solution], Any] = lambda s: (s.y, s.final_y, s.final_time)
         solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
+    if events:
+        solution = at_their_zeros(solution, rates, events, model, like, times)
+    code = jnp.where(good, solution.code, code_of_fault)
+    time = times if plan.saveat is None else solution.time
+    return _outcome(dataclasses.replace(solution, time=time, code=code), like, fault)
+
+
+def _outcome(found: Solution, like: Any, fault: Array) -> Outcome:
+    """What came out, as states."""
+    happened = found.happened
+    if happened is not None:
+        good = fault == NO_FAULT
+        happened = happened._replace(
+            y=unpack(happened.y, like),
+            number=jnp.where(good, happened.number, 0),
+            by=jnp.where(good, happened.by, -1),
+        )
     return Outcome(
-        time=times if plan.saveat is None else solution.time,
-        state=unpack(solution.y, like),
-        code=jnp.where(good, solution.code, code_of_fault),
-        final_time=solution.final_time,
-        final_state=unpack(solution.final_y, like),
-        steps=solution.steps,
-        rejected_steps=solution.rejected_steps,
+        time=found.time,
+        state=unpack(found.y, like),
+        code=found.code,
+        final_time=found.final_time,
+        final_state=unpack(found.final_y, like),
+        steps=found.steps,
+        rejected_steps=found.rejected_steps,
         fault=fault,
+        happened=happened,
     )
 
 

@@ -1,5 +1,6 @@
 """How a run moves with its output times: derivatives that no recorded step has."""
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from typing import Any, cast
@@ -12,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
 from ..validation.codes import Code
-from .solve import Rates, Solution
+from .plans import Rates, Solution
 from .step_control import Stops
 
 
@@ -37,14 +38,12 @@ def in_time(
 
     ended = code == Code.COMPLETED
     # where a run stops of itself does not follow the last time
-    return Solution(
-        time=solution.time,
+    return dataclasses.replace(
+        solution,
         y=jax.vmap(moved)(y, times),
         final_time=jnp.where(ended, times[-1], solution.final_time),
         final_y=moved(final_y, times[-1]),
         code=code,
-        steps=solution.steps,
-        rejected_steps=solution.rejected_steps,
     )
 
 

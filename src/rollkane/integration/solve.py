@@ -1,20 +1,31 @@
 """One solve: by diffrax, or by the loop in C; adaptive, or along recorded steps."""
 
+import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, cast
 
 import diffrax as dfx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen import Course, RunLoop
+from ..codegen import Course, Looked, RunLoop
 from ..codegen.tableau import is_plain, weights_of
 from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
 from .diffrax_checks import checked_before
+from .event_search import Happened, layout_of, values_of
+from .plans import (
+    RECORDED_STEPS,
+    UNRECORDED_STEPS,
+    Inputs,
+    Plan,
+    Rates,
+    Record,
+    Solution,
+    Vectors,
+)
 from .refused_steps import Holds, refusing
 from .replay import STEPS_BETWEEN
 from .step_control import (
@@ -25,124 +36,7 @@ from .step_control import (
     first_step,
     landings,
 )
-
-# ``rates(t, y, model)`` of the packed state.
-Rates: TypeAlias = Callable[[Array, Array, Any], Array]
-# ``vectors(model, t, state)`` that no step may reverse.
-Vectors: TypeAlias = Callable[[Any, Any, Any], list[Array]]
-# ``allowed(model, t, state)`` -> whether a step may end there.
-Allowed: TypeAlias = Callable[[Any, Any, Any], Array]
-# Model, first packed state, times [s], tolerances, first step [s] or None; any behind.
-Inputs: TypeAlias = tuple[Any, ...]
-# Where steps began, how many there are, and what states were kept of them.
-Record: TypeAlias = tuple[Array, ...]
-
-# Steps that a derivative can follow: the record takes 13 bytes a step.
-_RECORDED_STEPS = 2**16
-# A run that creeps towards a singular place must end: a minute at the slowest.
-UNRECORDED_STEPS = 2**22
-
-
-class Problem(NamedTuple):
-    """What is integrated; the same object for the same kind of motion.
-
-    Attributes:
-        derivative: ``derivative(model, t, state)`` -> rates, as a state.
-        quickness: ``quickness(state)`` -> speeds [rad/s] that limit the first step.
-        sizes: ``sizes(state)`` -> what the default absolute tolerance is multiplied by,
-            as a state.
-        corners: ``corners(model)`` -> times at which the right-hand side has a corner
-            [s], or None, and whether it may jump there.
-        consistent: ``consistent(model, t, state)`` -> the state as the constraints
-            allow it.
-        unbroken: ``unbroken(model, like)`` -> ``vectors(model, t, state)``, a list of
-            plane vectors none of which a step may reverse; None: every step may stand.
-            ``like`` has the shapes of a state.
-    """
-
-    derivative: Callable[[Any, Array, Any], Any]
-    quickness: Callable[[Any], Array]
-    sizes: Callable[[Any], Any]
-    corners: Callable[[Any], tuple[Array | None, bool]]
-    consistent: Callable[[Any, Array, Any], Any] = lambda model, t, state: state
-    unbroken: Callable[[Any, Any], Vectors | None] = lambda model, like: None
-
-
-class Plan(NamedTuple):
-    """How to integrate: everything that does not change from call to call.
-
-    Attributes:
-        problem: What is integrated.
-        solver: diffrax solver.
-        controller: diffrax controller, or None for the default.
-        adjoint: diffrax adjoint, or None for the derivative along recorded steps.
-        saveat: diffrax ``SaveAt``, or None for the times.
-        max_steps: Most steps, or None.
-        progress_meter: diffrax progress meter.
-        zeros: For the loop in C, which numbers of the model are zero; None: for
-            diffrax.
-        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
-            anywhere.
-    """
-
-    problem: Problem
-    solver: dfx.AbstractSolver[Any]
-    controller: dfx.AbstractStepSizeController[Any, Any] | None
-    adjoint: dfx.AbstractAdjoint | None
-    saveat: dfx.SaveAt | None
-    max_steps: int | None
-    progress_meter: dfx.AbstractProgressMeter[Any]
-    zeros: tuple[bytes, ...] | None
-    allowed: Allowed | None = None
-
-
-class _Ended(Protocol):
-    @property
-    def code(self) -> Array: ...
-
-
-_Run = TypeVar("_Run", bound=_Ended)
-
-
-class Solution(eqx.Module):
-    """What a solve gives; see :class:`rollkane.integration.integrate.Outcome`."""
-
-    time: Array
-    y: Array
-    final_time: Array
-    final_y: Array
-    code: Array
-    steps: Array
-    rejected_steps: Array
-
-    @property
-    def unknown(self) -> "Solution":
-        """What of it has no derivative."""
-        return without_derivative(self, lambda s: (s.final_time, s.final_y))
-
-
-def without_derivative(run: _Run, last: Callable[[_Run], Any]) -> _Run:
-    """What of a run's numbers has no derivative, as flags of their shapes.
-
-    What was not reached; and where the run ended, if it stopped of itself: it does so
-    at a time that depends on everything.
-
-    Args:
-        run: What came out of it, with its ``code``.
-        last: ``last(run)`` -> time and state of its end.
-    """
-
-    def is_nan(x: Array) -> Array:
-        return x != x
-
-    lost = jax.tree.map(is_nan, run)
-    stopped = run.code != Code.COMPLETED
-
-    def or_stopped(x: Array) -> Array:
-        return x | stopped
-
-    each: Callable[[Any], Any] = lambda part: jax.tree.map(or_stopped, part)
-    return eqx.tree_at(last, lost, replace_fn=each)
+from .watched_steps import Watched, Watching, in_order, shown_again, with_events
 
 
 def solve(
@@ -181,42 +75,37 @@ def _by_diffrax(
     replay: Record | None,
     adjoint: dfx.AbstractAdjoint | None,
 ) -> tuple[Solution, Record | None]:
-    model, y0, times, rtol, atol, *_ = inputs
+    model, y0, times, rtol, atol, _, events, *_ = inputs
     t0, t1 = times[0], times[-1]
-    dt0 = _first_step(plan, like, inputs)
-    dt0 = jnp.where(t1 < t0, -dt0, dt0)
     if replay is not None:
         jumps = landings_of(model, times, plan).jumps
         controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
-        dt0 = None
     else:
-        controller = plan.controller or _landing(model, times, rtol, atol, plan)
-        if isinstance(controller, dfx.StepTo):
-            dt0 = None  # it has its own first step, and refuses another
-        holds = _holds(plan, model, like)
-        if holds is not None:
-            controller = refusing(controller, holds)
-    given: Any = plan.saveat
-    wanted = dfx.SubSaveAt(ts=times) if given is None else given.subs
-    subs = [wanted, dfx.SubSaveAt(t1=True)]
+        controller = _chooser(plan, like, inputs)
+    # they have their own first step, and refuse another
+    stepped = isinstance(controller, (dfx.StepTo, ReplaySteps))
+    dt0 = (
+        None
+        if stepped
+        else jnp.where(t1 < t0, -1.0, 1.0) * _first_step(plan, like, inputs)
+    )
     recording = replay is None and adjoint is not None and plan.adjoint is None
-    if recording:
-        # kept as if they were states: diffrax works on all the times that it returns
-        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: t))
-        if plain(plan, times):
-            subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
+    watches = bool(events) and replay is None
     max_steps = plan.max_steps
     if max_steps is None:
         custom = plan.saveat is not None or plan.controller is not None
         bounded = recording or replay is not None or custom
-        max_steps = _RECORDED_STEPS if bounded else UNRECORDED_STEPS
+        max_steps = RECORDED_STEPS if bounded else UNRECORDED_STEPS
     solve = functools.partial(
         dfx.diffeqsolve, dfx.ODETerm(cast(Any, rates)), plan.solver
     )
     with checked_before(plan.saveat):
         solution = solve(
             *(t0, t1, dt0, y0, model),
-            saveat=dfx.SaveAt(subs=subs),
+            saveat=dfx.SaveAt(
+                subs=_saved(plan, times, recording, replay, events),
+                controller_state=watches,
+            ),
             stepsize_controller=controller,
             adjoint=dfx.ForwardMode() if adjoint is None else adjoint,
             max_steps=max_steps,
@@ -235,9 +124,57 @@ def _by_diffrax(
         steps=solution.stats["num_accepted_steps"],
         rejected_steps=solution.stats["num_rejected_steps"],
     )
-    # begins of steps, how many there are, and what states were kept of them
-    record = (recorded[0], outcome.steps, *recorded[1:]) if recording else None
-    return outcome, record
+    if watches:
+        outcome = with_events(outcome, cast(Watched, solution.controller_state), times)
+    elif events and replay is not None:
+        outcome = shown_again(outcome, events, replay[-1], recorded[-1], times)
+    if not recording:
+        return outcome, None
+    # begins of steps, how many there are, what states were kept of them, and events
+    record = recorded[0], outcome.steps, *recorded[1:]
+    found = outcome.happened
+    return outcome, record if found is None else (*record, found.time)
+
+
+def _saved(
+    plan: Plan,
+    times: Float[Array, " T"],
+    recording: bool,
+    replay: Record | None,
+    events: Any,
+) -> list[dfx.SubSaveAt]:
+    """What diffrax is to keep: outputs, the end, steps to record, known events."""
+    given: Any = plan.saveat
+    wanted = dfx.SubSaveAt(ts=times) if given is None else given.subs
+    subs = [wanted, dfx.SubSaveAt(t1=True)]
+    if recording:
+        # kept as if they were states: diffrax works on all the times that it returns
+        subs.append(dfx.SubSaveAt(t0=True, steps=True, fn=lambda t, y, args: t))
+        if plain(plan, times):
+            subs.append(dfx.SubSaveAt(t0=True, steps=STEPS_BETWEEN))
+    if events and replay is not None:
+        subs.append(dfx.SubSaveAt(ts=in_order(replay[-1], times)[0]))
+    return subs
+
+
+def _chooser(
+    plan: Plan, like: Any, inputs: Inputs
+) -> dfx.AbstractStepSizeController[Any, Any]:
+    """What chooses the steps, refuses some, and ends some on events."""
+    model, _, times, rtol, atol, _, events, *_ = inputs
+    controller = plan.controller
+    if controller is None:
+        controller = _landing(model, times, rtol, atol, plan, bool(events))
+    holds = _holds(plan, model, like)
+    if holds is not None:
+        controller = refusing(controller, holds)
+    if not events:
+        return controller
+
+    def values(events: Any, model: Any, t: Array, y: Array) -> Array:
+        return values_of(events, model, t, unpack(y, like))
+
+    return Watching(controller, events, _least_step(times), values)  # pyright: ignore[reportCallIssue]
 
 
 def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
@@ -273,20 +210,26 @@ def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
 def _natively(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> tuple[Solution, Record | None]:
-    model, y0, times, rtol, atol, *_ = inputs
-    leaves, tree = cast("tuple[list[Array], Any]", jax.tree.flatten(model))
+    model, y0, times, rtol, atol, _, events, *_ = inputs
+    leaves, tree = cast("tuple[list[Array], Any]", jax.tree.flatten((model, events)))
 
     def derivative(t: Array, y: Array, *leaves: Array) -> Array:
-        return rates(t, y, jax.tree.unflatten(tree, leaves))
+        return rates(t, y, jax.tree.unflatten(tree, leaves)[0])
 
+    def values(t: Array, y: Array, *leaves: Array) -> Array:
+        model, events = jax.tree.unflatten(tree, leaves)
+        return values_of(events, model, t, unpack(y, like))
+
+    assert plan.zeros is not None
     loop = RunLoop(
         derivative,
         y0,
         leaves,
         weights_of(plan.solver, "the loop in C"),
-        plan.zeros,
+        [*plan.zeros, *[b""] * (len(leaves) - len(plan.zeros))],
         STEPS_BETWEEN if recording else 0,
         unbroken_numbers(plan.problem.unbroken, model, like),
+        Looked(values, layout_of(events)) if events else None,
     )
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     where = landings_of(model, times, plan)
@@ -303,7 +246,7 @@ def _natively(
     )
     most = plan.max_steps
     if most is None:
-        most = _RECORDED_STEPS if recording else UNRECORDED_STEPS
+        most = RECORDED_STEPS if recording else UNRECORDED_STEPS
     ended = loop(y0, course, most)
     # a start from which no step can be taken is none: as by diffrax
     stuck = (ended.steps == 0) & (ended.rejected_steps > 0)
@@ -317,10 +260,16 @@ def _natively(
         steps=ended.steps,
         rejected_steps=ended.rejected_steps,
     )
+    if ended.happened is not None:
+        moments, *counts = ended.happened
+        happened = Happened(moments[:, 0], moments[:, 1:], *counts)
+        outcome = dataclasses.replace(outcome, happened=happened)
     if ended.record is None:
         return outcome, None
     begun, kept = ended.record
-    return outcome, (begun, outcome.steps, kept)
+    record = begun, outcome.steps, kept
+    found = outcome.happened
+    return outcome, record if found is None else (*record, found.time)
 
 
 def unbroken_numbers(
@@ -342,7 +291,8 @@ def unbroken_numbers(
         return None
 
     def numbers(t: Array, y: Array, *leaves: Array) -> Array:
-        found = vectors(jax.tree.unflatten(tree, leaves), t, unpack(y, like))
+        own = leaves[: tree.num_leaves]  # behind them are those of events
+        found = vectors(jax.tree.unflatten(tree, own), t, unpack(y, like))
         return jnp.concatenate(found)
 
     return numbers
@@ -355,13 +305,21 @@ def plain(plan: Plan, times: Float[Array, " T"]) -> bool:
 
 
 def _landing(
-    model: Any, times: Float[Array, " T"], rtol: Array, atol: Array, plan: Plan
+    model: Any,
+    times: Float[Array, " T"],
+    rtol: Array,
+    atol: Array,
+    plan: Plan,
+    watched: bool,
 ) -> dfx.AbstractStepSizeController[Any, Any]:
-    """Adaptive steps that end on outputs and on corners of the right-hand side."""
-    dtmin = _least_step(times)
+    """Adaptive steps that end on outputs and on corners of the right-hand side.
+
+    ``watched``: some are to end on events as well, however short they are then.
+    """
+    dtmin = None if watched else _least_step(times)
     controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
     where = landings_of(model, times, plan)
-    if where.ends.shape[0] == 1:
+    if where.ends.shape[0] == 1 and not watched:
         return controller
     # its tolerances are the controller's, which diffrax declares as fields
     return LandOn(controller=controller, landings=where)  # pyright: ignore[reportCallIssue]
@@ -380,8 +338,9 @@ def landings_of(model: Any, times: Float[Array, " T"], plan: Plan) -> Landings:
 
 
 def _code(result: dfx.RESULTS, stuck: Bool[Array, ""]) -> Int[Array, ""]:
-    code = jnp.asarray(Code.STOPPED)
+    code = jnp.asarray(Code.SOLVER_STOPPED)
     for known, meaning in (
+        (dfx.RESULTS.event_occurred, Code.STOPPED),
         (dfx.RESULTS.successful, Code.COMPLETED),
         (dfx.RESULTS.max_steps_reached, Code.MAX_STEPS),
         (dfx.RESULTS.dt_min_reached, Code.STEP_TOO_SMALL),

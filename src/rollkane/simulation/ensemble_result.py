@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Int
 
 from ..kinematics.coordinates import State
 from ..validation.codes import Code, Fields
+from .event_record import Crossings, EventRecord
 
 
 class Ensemble(eqx.Module):
@@ -30,6 +31,7 @@ class Ensemble(eqx.Module):
         method: ``"native"`` or ``"diffrax"``: which integrated.
         why: Why it was not the native loop; empty if it was, or if diffrax was asked.
         fields: Names of the numbers that ``fault`` counts.
+        event_record: Events of the members, as ``events`` shows them; None without.
     """
 
     time: Float[Array, " T"]
@@ -45,6 +47,7 @@ class Ensemble(eqx.Module):
     method: str = eqx.field(static=True)
     why: str = eqx.field(static=True)
     fields: Fields = eqx.field(static=True)
+    event_record: EventRecord | None = None
 
     @property
     def succeeded(self) -> Any:
@@ -52,8 +55,20 @@ class Ensemble(eqx.Module):
         return self.code == Code.COMPLETED
 
     @property
+    def events(self) -> dict[str, Crossings]:
+        """Where each event happened, by its name: ``times`` [s], ``states``, ``count``.
+
+        Times of shape (N, most), as many as are kept, unused places NaN; counts (N,).
+        """
+        return {} if self.event_record is None else self.event_record.by_name()
+
+    @property
     def reasons(self) -> dict[str, int]:
         """Why motions ended, and how many ended so."""
         codes, faults = np.asarray(self.code).tolist(), np.asarray(self.fault).tolist()
-        counts = Counter(zip(codes, faults, strict=True))
+        found = self.event_record
+        ends = [""] * len(codes)
+        if found is not None:
+            ends = list(map(found.name_of_end, np.asarray(found.by).tolist()))
+        counts = Counter(zip(codes, faults, ends, strict=True))
         return {self.fields.reason(*why): n for why, n in sorted(counts.items())}

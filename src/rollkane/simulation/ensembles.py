@@ -13,22 +13,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..codegen import NoCompilerError
+from ..codegen import NoCompilerError, Results
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes
 from ..integration.backends import METHODS
+from ..integration.event_search import Happened
 from ..integration.integrate import (
     checked_times,
     default_solver,
     tolerances,
     warn_without_compiler,
 )
-from ..integration.solve import UNRECORDED_STEPS
+from ..integration.plans import UNRECORDED_STEPS
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
 from ..validation.codes import Fields
 from .ensemble_members import members_of
 from .ensemble_result import Ensemble
+from .event_record import EventRecord, events_in_modes, events_of, record_of
 from .lane_blocks import LaneBlocks, NotForLanesError
 from .run import simulate
 from .run_checks import check_span, check_start
@@ -57,6 +59,8 @@ def ensemble(
     method: str = "auto",
     block: int | None = None,
     workers: int | None = None,
+    events: Any = (),
+    stop: Any = None,
 ) -> Ensemble:
     """Motions of many members: starts, scenes, or both differ.
 
@@ -89,6 +93,8 @@ def ensemble(
         block: Members that are worked on together; by default as many as keep outputs
             of 32 MiB, at most 8192.
         workers: Threads; as many as processors by default.
+        events: As in ``simulate``, the same for all members.
+        stop: Likewise: a member that ends leaves its place to the next.
 
     Returns:
         The ensemble. Where an argument is traced (``jax.grad``, ``jax.jit``), it is
@@ -99,7 +105,7 @@ def ensemble(
     """
     run = _Run(
         *(scene, starts, times, observe, count, scene_axes, rtol, atol, solver),
-        *(modes, max_steps, method, block, workers),
+        *(modes, max_steps, method, block, workers, events, stop),
     )
     if run.traced:
         return run.whole()
@@ -159,6 +165,8 @@ class _Run:
         method: str = "auto",
         block: Any = None,
         workers: Any = None,
+        events: Any = (),
+        stop: Any = None,
     ):
         self.members = members_of(scene, starts, count, scene_axes)
         self.traced = is_traced(scene, starts, times, rtol, atol)
@@ -183,6 +191,11 @@ class _Run:
             "solver": self.solver,
         }
         self.lanes, self.method = None, method
+        at = jnp.asarray(self.times[0])
+        looked_for = events_of if modes is None else events_in_modes
+        self.events = looked_for(events, stop, scene, at, start, "ensemble")
+        if self.events:
+            self.how["events"] = self.events
         if not self.traced:
             self._check(modes)
         if method != "diffrax" and modes is None and not self.traced:
@@ -214,6 +227,7 @@ class _Run:
             self.atol,
             self.solver,
             _whole("max_steps", self.how["max_steps"], UNRECORDED_STEPS),
+            events=self.events,
         )
 
     def _size(self, block: int | None) -> int:
@@ -277,7 +291,17 @@ class _Run:
             results.steps,
             results.rejected_steps,
             results.fault,
+            found=self._found(results),
         )
+
+    def _found(self, results: Results) -> EventRecord | None:
+        """Events of a block in lanes."""
+        if self.lanes is None or results.moments is None or results.numbers is None:
+            return None
+        time, y = results.moments[..., 0], results.moments[..., 1:]
+        counts = results.numbers[:, :-1], results.numbers[:, -1]
+        parts: Any = time, self.lanes.states(y), *counts
+        return record_of(self.events, Happened(*parts))
 
     def _simulated(
         self, scene: Scene, starts: State, first: int, count: int
@@ -299,6 +323,7 @@ class _Run:
             run.steps,
             run.rejected_steps,
             run.fault,
+            found=run.event_record,
         )
 
     def _ensemble(
@@ -309,20 +334,23 @@ class _Run:
         scene: Scene,
         state: Any,
         *rest: Any,
+        found: EventRecord | None,
     ) -> Ensemble:
         observed = None
         if self.observe is not None:
             axes = self.members.axes()[0]
             observed = _observed(self.observe, axes, scene, self.times, state)
             state = None
-        parts: Any = state, observed, *rest
+        parts: Any = (state, observed, *rest), found
         if not self.traced:
             # without what filled the block up
             own: Callable[[Any], np.ndarray] = lambda x: np.asarray(x)[:count]
             parts = jax.tree.map(own, parts)
+        parts, found = parts
         times: Any = self.times
         how: dict[str, Any] = dict(zip(("method", "why"), made, strict=True))
-        return Ensemble(times, *parts, first=first, fields=self.fields, **how)
+        how |= {"fields": self.fields, "event_record": found}
+        return Ensemble(times, *parts, first=first, **how)
 
 
 @eqx.filter_jit

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
-from ..codegen import LaneLoop, NoCompilerError, Queue, Results, Stops, zeros_of
+from ..codegen import LaneLoop, Looked, NoCompilerError, Queue, Results, Stops, zeros_of
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain, weights_of
 from ..dynamics.consistency import consistent
+from ..dynamics.events import Event
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.rolling_problem import (
     corners,
@@ -24,6 +25,7 @@ from ..dynamics.rolling_problem import (
     unbroken,
 )
 from ..dynamics.scene import Scene
+from ..integration.event_search import layout_of, values_of
 from ..integration.integrate import tolerances
 from ..integration.solve import unbroken_numbers
 from ..integration.step_control import first_step, landings, stops_of
@@ -55,6 +57,7 @@ class LaneBlocks:
         solver: dfx.AbstractSolver[Any],
         max_steps: int,
         extended: bool = False,
+        events: tuple[Event, ...] = (),
     ):
         """Compile the loop for these members, unless it has been compiled before.
 
@@ -67,6 +70,7 @@ class LaneBlocks:
             max_steps: Most steps of a member.
             extended: Whether to compute with C's long doubles; what comes out is
                 rounded to the precision that goes in.
+            events: What is looked for in every member.
 
         Raises:
             NotForLanesError: with the reason.
@@ -81,8 +85,11 @@ class LaneBlocks:
         dtype = np.longdouble if extended else times.dtype
         self._rtol, self._atol = tolerances(rtol, atol, dtype)
         self._by_size = atol is None
-        leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
-        own = tuple(axis is not None for axis in members.scene_axes)
+        axes = [*members.scene_axes, *[None] * len(jax.tree.leaves(events))]
+        both = cast(tuple[list[Any], Any], jax.tree.flatten((scene, events)))
+        leaves, tree = both
+        self._events = [np.asarray(x).reshape(-1) for x in jax.tree.leaves(events)]
+        own = tuple(axis is not None for axis in axes)
         self._explains = explains_ends(scene, start)
         self._outputs = stops_of(times)
         self._stops = self._landings(scene, members)
@@ -96,7 +103,7 @@ class LaneBlocks:
             # what differs from member to member is not known
             zeros=tuple(
                 zeros_of(x) if axis is None else b""
-                for x, axis in zip(leaves, members.scene_axes, strict=True)
+                for x, axis in zip(leaves, axes, strict=True)
             ),
         )
         try:
@@ -154,6 +161,7 @@ class LaneBlocks:
                 shared.append(leaf.reshape(-1))
             else:
                 own.append(leaf.reshape(count, -1))
+        shared += self._events
         scale = sizes if self._by_size else np.ones_like(y0)
         sense = -1.0 if self._times[-1] < self._times[0] else 1.0
         eps = np.finfo(self._loop.dtype).eps
@@ -170,16 +178,21 @@ class LaneBlocks:
             sense=sense,
         )
         results = self._loop.run(queue, self._stops)
+        found = results.moments
         results = results._replace(
             y=results.y.astype(y0.dtype),
             final_y=results.final_y.astype(y0.dtype),
             final_time=(sense * results.final_time).astype(y0.dtype),
+            moments=None if found is None else found.astype(y0.dtype, copy=False),
         )
         y = np.concatenate([y0[:, None], results.y], axis=1)
         if self._outputs.last is not None:
             y = y[:, self._outputs.last]
         good = fault == NO_FAULT
         y[~good], results.final_y[~good] = np.nan, np.nan
+        if results.moments is not None and results.numbers is not None:
+            results.moments[~good] = np.nan
+            results.numbers[~good] = [0] * (results.numbers.shape[1] - 1) + [-1]
         code = results.code
         if self._explains and is_stuck(code[good]).any():
             code = self._code(scene, results)
@@ -220,10 +233,14 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
     )
 
     def derivative(t: Array, y: Array, *leaves: Array) -> Array:
-        scene = jax.tree.unflatten(kind.tree, leaves)
+        scene, _ = jax.tree.unflatten(kind.tree, leaves)
         return pack(rolling_derivative(scene, t, unpack(y, like)))
 
-    example = jax.tree.unflatten(
+    def values(t: Array, y: Array, *leaves: Array) -> Array:
+        scene, events = jax.tree.unflatten(kind.tree, leaves)
+        return values_of(events, scene, t, unpack(y, like))
+
+    example, events = jax.tree.unflatten(
         kind.tree, [jax.ShapeDtypeStruct(*leaf) for leaf in kind.leaves]
     )
     return LaneLoop(
@@ -235,6 +252,7 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         zeros=kind.zeros,
         extended=kind.extended,
         watch=unbroken_numbers(unbroken, example, like),
+        events=Looked(values, layout_of(events)) if events else None,
     )
 
 

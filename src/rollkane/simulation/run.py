@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from ..codegen.compile_effort import around_a_loop
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
 from ..dynamics.consistency import consistent
+from ..dynamics.events import Event
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.rolling_problem import (
     corners,
@@ -35,8 +36,8 @@ from ..integration.integrate import (
     tolerances,
     warn_single_precision,
 )
+from ..integration.plans import UNRECORDED_STEPS
 from ..integration.projection import KeepingEnergy, check_keeps_energy
-from ..integration.solve import UNRECORDED_STEPS
 from ..integration.step_control import Stops, stops_of
 from ..kinematics.coordinates import State, pack
 from ..kinematics.voronets import AnyState, VoronetsState
@@ -44,11 +45,13 @@ from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
+from .event_record import events_in_modes, events_of, record_of
 from .run_checks import check_law, check_modes, check_span, check_start
 from .trajectory import Trajectory
 
 # what the loop in C does not have
 _DIFFRAX_ALONE = "stepsize_controller", "adjoint", "saveat", "progress_meter"
+_WITHOUT_EVENTS = "stepsize_controller", "adjoint", "saveat"
 _COORDINATES = ("pole-free", "voronets")
 
 
@@ -71,6 +74,8 @@ def simulate(
     progress_meter: dfx.AbstractProgressMeter[Any] | None = None,
     method: str = "auto",
     second_contact: bool = False,
+    events: Any = (),
+    stop: Any = None,
 ) -> Trajectory:
     """Motion of a scene from a start, at the asked times.
 
@@ -118,6 +123,11 @@ def simulate(
             body reaches its base at a second place. That is looked for after each step,
             on samples of both surfaces (:mod:`rollkane.dynamics.clearance`), by
             diffrax's loop: a tenth to a few milliseconds a step.
+        events: Events, or ready ones by their names (``"lift-off"``): steps end on
+            them, and the result's ``events`` shows them. With them
+            ``stepsize_controller``, ``adjoint`` and ``saveat`` cannot be chosen.
+        stop: One or several of the like, at the first of which the run ends, with
+            ``Code.STOPPED``.
 
     Returns:
         The trajectory.
@@ -146,9 +156,8 @@ def simulate(
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
     if modes is not None:
         _refuse("modes", options)
-        return _simulate_modes(
-            scene, start, times, modes, rtol, atol, solver, max_steps, looks, method
-        )
+        how = rtol, atol, solver, max_steps, looks, method, events, stop
+        return _simulate_modes(scene, start, times, modes, *how)
     foreign = {"second_contact": looks}
     foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
     if method == "native":
@@ -159,6 +168,9 @@ def simulate(
     times = checked_times(times, dtype)
     check_span(scene, times)
     start = _in_coordinates(coordinates, scene, start, times[0])
+    watched = events_of(events, stop, scene, jnp.asarray(times[0]), start)
+    if watched:
+        _refuse("events", {name: options[name] for name in _WITHOUT_EVENTS})
     run = functools.partial(
         integrate,
         *(_PROBLEMS[formulation], scene, start, times),
@@ -172,20 +184,36 @@ def simulate(
         max_steps=max_steps,
         progress_meter=progress_meter,
         allowed=is_apart if looks else None,
+        events=watched,
     )
     refusal = without_native(solver, foreign)
     kind = formulation, coordinates, type(solver)
-    outcome, method, why = run_by(method, refusal, kind, (scene, start), run)
+    model = (scene, start, watched) if watched else (scene, start)
+    outcome, method, why = run_by(method, refusal, kind, model, run)
+    code = _code_at(outcome, scene, looks)
+    return _trajectory(scene, outcome, watched, code, method, why)
+
+
+def _trajectory(
+    scene: Scene,
+    outcome: Outcome,
+    events: tuple[Event, ...],
+    code: Array,
+    method: str,
+    why: str,
+) -> Trajectory:
+    found = outcome.happened
     return Trajectory(
         time=outcome.time,
         state=outcome.state,
         scene=scene,
-        code=_code_at(outcome, scene, looks),
+        code=code,
         final_time=outcome.final_time,
         final_state=outcome.final_state,
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
         fault=outcome.fault,
+        event_record=None if found is None else record_of(events, found),
         method=method,
         why=why,
     )
@@ -210,6 +238,8 @@ def _simulate_modes(
     max_steps: int | None,
     looks: bool,
     method: str,
+    events: Any,
+    stop: Any,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
     check_modes(start, modes)
@@ -225,6 +255,7 @@ def _simulate_modes(
     rtol, atol = tolerances(rtol, atol, dtype)
     check_steps(max_steps, None)
     scene = HybridScene(scene, modes)
+    watched = events_in_modes(events, stop, scene, jnp.asarray(times[0]), start)
     run = functools.partial(
         _run_modes,
         scene,
@@ -237,11 +268,12 @@ def _simulate_modes(
         default_solver(rtol) if solver is None else solver,
         UNRECORDED_STEPS if max_steps is None else max_steps,
         looks,
+        watched,
     )
     refusal = without_native(None, {})
-    outcome, method, why = run_by(
-        method, refusal, ("modes", looks), (scene, start), run
-    )
+    model = (scene, start, watched) if watched else (scene, start)
+    outcome, method, why = run_by(method, refusal, ("modes", looks), model, run)
+    found = outcome.happened
     return Trajectory(
         time=jnp.asarray(times),
         state=outcome.state,
@@ -253,6 +285,7 @@ def _simulate_modes(
         rejected_steps=outcome.rejected_steps,
         switches=outcome.switches,
         fault=outcome.fault,
+        event_record=None if found is None else record_of(watched, found),
         method=method,
         why=why,
     )
@@ -275,6 +308,7 @@ def _through_changes(
     solver: dfx.AbstractSolver[Any],
     max_steps: int,
     looks: bool,
+    events: tuple[Event, ...],
 ) -> HybridOutcome:
     sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
@@ -283,6 +317,7 @@ def _through_changes(
         *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
         allowed=allowed,
         native=native,
+        events=events,
     )
 
 

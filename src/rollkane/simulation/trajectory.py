@@ -20,6 +20,7 @@ from ..hybrid.modes import HybridScene, Mode, ModedState, Switches, by_mode
 from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState
 from ..validation.codes import NO_FAULT, Code, Fields
+from .event_record import Crossings, EventRecord
 
 
 @jax.tree_util.register_dataclass
@@ -40,6 +41,7 @@ class Trajectory:
         switches: Changes between rolling, slipping and flight; None in a run without.
         fault: Which number of the scene, the start or the times cannot be used, as
             ``reason`` names it; -1: none.
+        event_record: Events of the run, as ``events`` shows them; None without.
         method: Which loop made it, ``"native"`` (C) or ``"diffrax"`` (XLA).
         why: Why it is not the loop in C, in a sentence; empty where it is.
     """
@@ -54,6 +56,7 @@ class Trajectory:
     rejected_steps: Int[Array, ""]
     switches: Switches | None = None
     fault: Int[Array, ""] | int = NO_FAULT
+    event_record: EventRecord | None = None
     method: str = dataclasses.field(metadata={"static": True}, default="diffrax")
     why: str = dataclasses.field(metadata={"static": True}, default="")
 
@@ -103,7 +106,22 @@ class Trajectory:
             start, scene = start.parts, scene.in_modes.rolling
         if int(self.code) == Code.BAD_START and int(self.fault) == NO_FAULT:
             return first_not_finite(scene, self.final_time, start)
-        return Fields.of(self.scene, start).reason(self.code, self.fault)
+        event, found = "", self.event_record
+        if found is not None:
+            event = found.name_of_end(int(found.by))
+        return Fields.of(self.scene, start).reason(self.code, self.fault, event)
+
+    @property
+    def events(self) -> dict[str, Crossings]:
+        """Where each event happened, by its name: ``times`` [s], ``states``, ``count``.
+
+        Differentiable, where it crosses its zero (NaN where it only grazes it, or
+        jumps). Of a run with known numbers only what happened; traced, or under
+        ``vmap``, all that is kept, unused places NaN.
+
+        Source: docs/theory.md, (8.13).
+        """
+        return {} if self.event_record is None else self.event_record.by_name()
 
     @property
     def position(self) -> Float[Array, "T 3"]:

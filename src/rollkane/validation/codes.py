@@ -19,7 +19,7 @@ class Code:
     MAX_STEPS = 1
     STEP_TOO_SMALL = 2
     BAD_START = 3
-    STOPPED = 4
+    SOLVER_STOPPED = 4
     CHART_EDGE = 5
     PAINLEVE = 6
     TOO_MANY_SWITCHES = 7
@@ -27,6 +27,8 @@ class Code:
     SURFACE_EDGE = 9
     SECOND_CONTACT = 10
     INCONSISTENT_IMPACT = 11
+    STOPPED = 12
+    EVENT_NOT_FINITE = 13
 
 
 _REASONS = {
@@ -46,7 +48,8 @@ _REASONS = {
     "look at final_state with rollkane.dynamics.rolling.painleve_margin",
     Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
     "keeps: raise it, or rest_speed if the body comes to rest by ever smaller rebounds",
-    Code.STOPPED: "the integrator stopped of itself; look at final_time, final_state",
+    Code.SOLVER_STOPPED: "the integrator stopped of itself; look at final_time, "
+    "final_state",
     Code.BAD_SCENE: "the scene cannot be used: a number in it is NaN",
     Code.SURFACE_EDGE: "the contact came to where a surface ends or has no tangent "
     "plane: the flat of a disc, which comes to lie on its face (a Ring is a wire, and "
@@ -57,6 +60,9 @@ _REASONS = {
     Code.INCONSISTENT_IMPACT: "Newton's restitution with friction has no impulse for "
     "this impact that pushes, acts against the slip and adds no energy: use "
     'Modes(impact="energetic")',
+    Code.STOPPED: "an event with stop=True ended the run",
+    Code.EVENT_NOT_FINITE: "an event's function gave NaN: nothing is known of it from "
+    "final_time and final_state on",
 }
 
 NO_FAULT = -1
@@ -95,16 +101,17 @@ class Fields(NamedTuple):
         """Number that stands for the output times."""
         return len(self.names)
 
-    def reason(self, code: SupportsInt, fault: SupportsInt) -> str:
+    def reason(self, code: SupportsInt, fault: SupportsInt, event: str = "") -> str:
         """What a code says, with the field at fault.
 
         Args:
             code: One of :class:`Code`.
             fault: Number of the field, or ``NO_FAULT``.
+            event: Name of the event that ended the run, if one did.
         """
         code, fault = int(code), int(fault)
         if fault == NO_FAULT:
-            return reason_of(code)
+            return f'{reason_of(code)}: "{event}"' if event else reason_of(code)
         if fault == self.times:
             return "the times cannot be used: they are not finite or not in order"
         what = self.names[fault].partition(".")[0]

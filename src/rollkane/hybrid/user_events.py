@@ -1,0 +1,276 @@
+"""Events of the user's own in runs that roll, slip and fly.
+
+A step that stands for the contact is looked at once more: one with an event behind it
+is tried again, shorter. A step that ends on events shows its state as on an output: on
+one of the places behind those of the outputs, or on the output's that it ends on.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from ..codegen.event_layout import Layout
+from ..integration.event_search import (
+    Events,
+    Happened,
+    Search,
+    judged,
+    layout_of,
+    values_of,
+)
+from ..integration.event_times import followed
+from ..kinematics.coordinates import pack, unpack
+from .mode_replay import Place
+from .modes import Mode, ModedState, slipping
+from .transitions import Motion
+
+
+class Watched(NamedTuple):
+    """What the loop carries of them.
+
+    Attributes:
+        search: What is known of their values.
+        trial: Length of the next try, while one is looked for [s].
+        time: Of those that are kept [s], shape (R,).
+        row: Where their states are shown, shape (R,).
+        number: How often each happened, shape (E,).
+        by: Which one ended the run; -1: none.
+        shown: How many places behind the outputs are taken.
+    """
+
+    search: Search
+    trial: Array
+    time: Array
+    row: Array
+    number: Array
+    by: Array
+    shown: Array
+
+    @staticmethod
+    def begun(events: Events, motion: Motion, at: Place) -> "Watched":
+        """At the start of a run."""
+        layout = layout_of(events)
+        search = Search.begun(at.t, values_in_mode(events, motion, at))
+        none = jnp.full(layout.capacity, jnp.nan, at.t.dtype)
+        counts = jnp.zeros(len(layout.ways), int)
+        whole = jnp.asarray(0)
+        rows = jnp.zeros(layout.capacity, int)
+        zero = jnp.zeros_like(at.t)
+        return Watched(search, zero, none, rows, counts, whole - 1, whole)
+
+    @property
+    def left(self) -> "Kept":
+        """What is left of it at the end."""
+        return Kept(self.time, self.row, self.number, self.by)
+
+    def kept(
+        self,
+        layout: Layout,
+        fires: Bool[Array, " E"],
+        t: Float[Array, ""],
+        output: Int[Array, ""],
+        outputs: int,
+    ) -> tuple["Watched", Int[Array, ""]]:
+        """With events that a step ends on, and the place that shows its state.
+
+        Args:
+            layout: Of the events.
+            fires: Which they are; none where the step does not stand.
+            t: Its end [s].
+            output: On which it ends; 0: on none.
+            outputs: How many there are.
+        """
+        fits = fires & (self.number < jnp.asarray(layout.mosts))
+        own = jnp.any(fits) & (output == 0)
+        row = jnp.where(own, outputs + self.shown, output)
+        time, rows, by = self.time, self.row, self.by
+        for i, first in enumerate(layout.firsts):
+            at = first + jnp.minimum(self.number[i], layout.mosts[i] - 1)
+            time = time.at[at].set(jnp.where(fits[i], t, time[at]))
+            rows = rows.at[at].set(jnp.where(fits[i], row, rows[at]))
+            if layout.stops[i]:
+                by = jnp.where(fires[i] & (by < 0), i, by)
+        number = self.number + jnp.where(fires, 1, 0)
+        shown = self.shown + jnp.where(own, 1, 0)
+        parts = {"time": time, "row": rows, "number": number, "by": by, "shown": shown}
+        return self._replace(**parts), row
+
+
+class Kept(NamedTuple):
+    """What a run leaves of them.
+
+    Attributes:
+        time: As in ``Watched``.
+        row: Likewise.
+        number: Likewise.
+        by: Likewise.
+    """
+
+    time: Float[Array, " R"]
+    row: Int[Array, " R"]
+    number: Int[Array, " E"]
+    by: Int[Array, ""]
+
+
+class Look(NamedTuple):
+    """What a step that stands for the contact has of events.
+
+    Attributes:
+        stands: Whether it still does.
+        again: Whether it is tried again, shorter.
+        blind: Whether an event is not a number at its end, or was not at its start.
+        fires: Which events it ends on.
+        values: At its end.
+        search: What is known then.
+        trial: Length of the next try [s].
+    """
+
+    stands: Array
+    again: Array
+    blind: Array
+    fires: Array
+    values: Array
+    search: Search
+    trial: Array
+
+
+def looked_at(
+    events: Events,
+    motion: Motion,
+    known: Watched,
+    begin: Float[Array, ""],
+    end: Place,
+    good: Bool[Array, ""],
+) -> Look:
+    """A tried step, by what the events are at its end.
+
+    Args:
+        events: What is looked for.
+        motion: Rates in all modes.
+        known: What was known before.
+        begin: Where the step begins [s].
+        end: Where it ends, before anything changes.
+        good: Whether it stands for the contact.
+    """
+    layout = layout_of(events)
+    values = values_in_mode(events, motion, end)
+    unseen = jnp.any(jnp.isnan(known.search.values))
+    lost = jnp.any(jnp.isnan(values)) | unseen
+    fine = good & ~lost
+    found = judged(layout, known.search, begin, end.t, values, fine)
+    return Look(
+        stands=found.stands,
+        again=fine & ~found.stands,
+        blind=(good & lost) | unseen,
+        fires=found.fires,
+        values=values,
+        search=found.search,
+        trial=found.trial,
+    )
+
+
+def first_lost(look: Look, known: Watched) -> Int[Array, ""]:
+    """Which event is not a number."""
+    lost = jnp.isnan(look.values) | jnp.isnan(known.search.values)
+    count = lost.shape[0]
+    return jnp.min(jnp.where(lost, jnp.arange(count), count - 1))
+
+
+def behind(
+    events: Events,
+    motion: Motion,
+    look: Look,
+    changed: Bool[Array, ""],
+    after: Place,
+) -> Look:
+    """A step that stands with what its end changed: values that jump there, too."""
+    s, layout = look.search, layout_of(events)
+    anew = lambda: values_in_mode(events, motion, after)
+    values = cast(Array, jax.lax.cond(changed, anew, lambda: s.values))
+    ways = jnp.asarray(layout.ways, values.dtype)
+    jumps = changed & (s.side != 0.0) & (jnp.sign(values) != s.side) & (ways != s.side)
+    fires = look.fires | jumps
+    side = jnp.where(changed & (values != 0.0), jnp.sign(values), s.side)
+    side = jnp.where(jumps & (values == 0.0), -s.side, side)
+    zero = jnp.where(fires, after.t, s.zero)
+    search = s._replace(values=values, side=side, zero=zero)
+    return look._replace(fires=fires, search=search)
+
+
+def values_in_mode(events: Events, motion: Motion, at: Place) -> Float[Array, " E"]:
+    """Values of all events, of the scene and the state of the mode."""
+    scenes, mu = motion.scenes, motion.modes.friction
+    t, y, mode, direction = at
+
+    def slips() -> Array:
+        if mu is None:
+            return jnp.full(len(events), jnp.nan, t.dtype)
+        scene = slipping(scenes.rolling, mu, direction, y)
+        return values_of(events, scene, t, y.sliding())
+
+    by_mode = {
+        Mode.ROLLING: lambda: values_of(events, scenes.rolling, t, y.rolling()),
+        Mode.SLIPPING: slips,
+        Mode.FLYING: lambda: values_of(events, scenes.flying, t, y.flying()),
+    }
+    branches = [by_mode[i] for i in range(3)]
+    return cast(Array, jax.lax.switch(mode, branches))
+
+
+def at_their_zeros(
+    events: Events,
+    make: Callable[[Any], Motion],
+    scene: Any,
+    happened: Happened,
+    span: Float[Array, ""],
+) -> Happened:
+    """Events that move with all that they depend on, (8.13).
+
+    Args:
+        events: That were looked for; differentiable.
+        make: ``make(scene)`` -> rates in all modes.
+        scene: Differentiable.
+        happened: What was found; ``y`` has states.
+        span: Of the run [s].
+    """
+    layout = layout_of(events)
+    like = happened.y.parts
+
+    def rates(t: Array, y: Array, model: Any) -> Array:
+        scene, mode, direction = model
+        state = unpack(y, one)
+        return pack(make(scene).at(mode, direction, t, state)[0])
+
+    def value(event: Any, model: Any, t: Array, y: Array) -> Array:
+        scene, mode, direction = model
+        at = Place(t, unpack(y, one), mode, direction)
+        return values_in_mode((event,), make(scene), at)[0]
+
+    size: Callable[[Array], Any] = lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
+    one = jax.tree.map(size, like)
+
+    def moved(event: Any, t: Array, state: ModedState) -> tuple[Array, Array]:
+        mode = jnp.maximum(state.mode, 0)
+        model = scene, mode, jax.lax.stop_gradient(state.direction)
+        y = pack(state.parts)
+        return cast(Any, followed(rates, value, t, y, model, event, span))
+
+    found: list[tuple[Array, Array]] = []
+    for event, first, most in zip(events, layout.firsts, layout.mosts, strict=True):
+        part: Callable[[Array], Array] = lambda x, a=first, b=most: x[a : a + b]
+        each = jax.vmap(moved, in_axes=(None, 0, 0))
+        found.append(each(event, part(happened.time), jax.tree.map(part, happened.y)))
+    time = jnp.concatenate([t for t, _ in found])
+    parts = unpack(jnp.concatenate([y for _, y in found]), one)
+    return happened._replace(
+        time=time, y=ModedState(parts, happened.y.mode, happened.y.direction)
+    )
+
+
+def with_places(times: Float[Array, " T"], count: int) -> Float[Array, " n"]:
+    """Output times [s], and behind them constants for the states at events."""
+    last = jax.lax.stop_gradient(times[-1:])
+    return jnp.concatenate([times, jnp.broadcast_to(last, count)])
