@@ -89,6 +89,8 @@ from .simulation.ensembles import ensemble as ensemble
 from .simulation.ensembles import ensemble_blocks as ensemble_blocks
 from .simulation.run import simulate as simulate
 from .simulation.trajectory import Trajectory as Trajectory
+from .stability.lyapunov import LyapunovSpectrum as LyapunovSpectrum
+from .stability.lyapunov import lyapunov_exponents as lyapunov_exponents
 from .studies.timing import Measured as Measured
 from .studies.timing import Setting as Setting
 from .studies.work_precision import WorkPrecision as WorkPrecision

@@ -13,6 +13,8 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "LyapunovSpectrum",
+    "lyapunov_exponents",
     "ExperimentDesign",
     "design_experiment",
     "negative_log_likelihood",
