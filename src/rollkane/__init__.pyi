@@ -89,8 +89,15 @@ from .simulation.ensembles import ensemble as ensemble
 from .simulation.ensembles import ensemble_blocks as ensemble_blocks
 from .simulation.run import simulate as simulate
 from .simulation.trajectory import Trajectory as Trajectory
+from .stability.branch import Branch as Branch
+from .stability.families import steady_family as steady_family
+from .stability.families import switch_branch as switch_branch
 from .stability.lyapunov import LyapunovSpectrum as LyapunovSpectrum
 from .stability.lyapunov import lyapunov_exponents as lyapunov_exponents
+from .stability.steady import SteadyMotion as SteadyMotion
+from .stability.steady import steady_motion as steady_motion
+from .stability.symmetries import Symmetries as Symmetries
+from .stability.symmetries import symmetries as symmetries
 from .studies.timing import Measured as Measured
 from .studies.timing import Setting as Setting
 from .studies.work_precision import WorkPrecision as WorkPrecision

@@ -34,6 +34,7 @@ METHODS = {
     ("studies.work_precision", "pictures.plot_precision"),
     ("identification.fit_result", "pictures.plot_fit"),
     ("identification.fit_result", "pictures.fit_page"),
+    ("stability.branch", "pictures.plot_family"),
 }
 PUBLIC = {"__init__", "moved_modules"}  # of the package itself: they know all folders
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}

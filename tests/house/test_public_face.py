@@ -15,6 +15,13 @@ SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 NAMES = {
     "LyapunovSpectrum",
     "lyapunov_exponents",
+    "Branch",
+    "SteadyMotion",
+    "Symmetries",
+    "steady_family",
+    "steady_motion",
+    "switch_branch",
+    "symmetries",
     "ExperimentDesign",
     "design_experiment",
     "negative_log_likelihood",

@@ -11,7 +11,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.scene import Scene
-from ..geometry.rotations import multiply, quaternion_rates, rotation_matrix
+from ..geometry.rotations import (
+    multiply,
+    quaternion_of,
+    quaternion_rates,
+    rotation_matrix,
+)
 from ..geometry.small_linear import cross
 from ..kinematics.coordinates import SlidingState, State, shared_parts
 from .independent_coordinates import rotation_of
@@ -101,6 +106,19 @@ def turned(state: State, turn: Float[Array, "4"], matrix: Float[Array, "3 3"]) -
     if isinstance(state, SlidingState):
         return SlidingState(**parts, slip=matrix @ state.slip)
     return State(**parts)
+
+
+def carried_by(
+    scene: Scene, start: Array, time: Array, state: State, drift: Action
+) -> State:
+    """The state carried along by base and drift, from a start to a time [s]."""
+    motion = scene.base.motion
+    if motion is not None:
+        first, last = motion.at(start).rotation, motion.at(time).rotation
+        if first is not None and last is not None:
+            turn = last @ first.T
+            state = turned(state, quaternion_of(turn), turn)
+    return moved_by(scene, time, state, drift, (time - start)[None])
 
 
 def _affine(law: Float[Array, "k k"], u: Float[Array, " m"]) -> Float[Array, " m"]:

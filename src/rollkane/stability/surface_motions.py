@@ -151,8 +151,9 @@ def echelon(rows: np.ndarray) -> np.ndarray:
         row, column = divmod(int(np.argmax(left)), a.shape[1])
         a[[k, k + row]] = a[[k + row, k]]
         a[k] /= a[k, column]
-        others = np.delete(np.arange(a.shape[0]), k)
-        a[others] -= np.outer(a[others, column], a[k])
+        weights = np.array(a[:, column])
+        weights[k] = 0.0
+        a -= np.outer(weights, a[k])
         places.append(column)
     a[np.abs(a) < 1e-8 * np.abs(a).max(initial=1.0)] = 0.0
     return a[np.argsort(places)]

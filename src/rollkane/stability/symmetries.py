@@ -8,20 +8,20 @@ counts like any other.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.scene import Scene
-from ..geometry.rotations import quaternion_of
 from ..kinematics.coordinates import State
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, is_traced
 from .equivariance import brackets_of, equivariant, random_draws
-from .group_actions import Action, carrying_with, moved_by, tangent, turned
+from .group_actions import Action, carried_by, carrying_with, moved_by, tangent
 from .surface_motions import LOOSE, SurfaceMotions, echelon, surface_motions
 
 
@@ -106,7 +106,7 @@ class Symmetries(eqx.Module):
         Raises:
             FieldError: the scene depends on time and no motion takes that out.
         """
-        return carrying_with(self.scene, time, state, self._known_drift())
+        return carrying_with(self.scene, time, state, self.known_drift)
 
     def carried(self, state: State, time: ArrayLike, start: ArrayLike = 0.0) -> State:
         """A state at a start, carried along by time itself to another time [s].
@@ -114,16 +114,12 @@ class Symmetries(eqx.Module):
         Raises:
             FieldError: the scene depends on time and no motion takes that out.
         """
-        drift = self._known_drift()
-        motion = self.scene.base.motion
-        span = jnp.asarray(time, state.orientation.dtype) - start
-        if motion is not None:
-            first, last = (motion.at(jnp.asarray(t)).rotation for t in (start, time))
-            if first is not None and last is not None:
-                state = turned(state, quaternion_of(last @ first.T), last @ first.T)
-        return moved_by(self.scene, time, state, drift, span[None])
+        begin, end = (jnp.asarray(t, state.orientation.dtype) for t in (start, time))
+        return carried_by(self.scene, begin, end, state, self.known_drift)
 
-    def _known_drift(self) -> Action:
+    @property
+    def known_drift(self) -> Action:
+        """The drift; refused where there is none."""
         if self.drift is None:
             problem = "depends on time in a way that no motion with its base takes out"
             remedy = (
@@ -151,6 +147,24 @@ def symmetries(scene: Scene) -> Symmetries:
 
     Source: docs/theory.md, (10.1).
     """
+    if is_traced(scene):
+        problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
+        raise FieldError("symmetries.scene", "a traced scene", problem, remedy)
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
+    known = [np.asarray(x) for x in leaves]
+    key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
+    if key not in _FOUND:
+        while len(_FOUND) >= _KEPT:
+            _FOUND.pop(next(iter(_FOUND)))
+        _FOUND[key] = _symmetries(scene)
+    return _FOUND[key]
+
+
+_FOUND: dict[Any, "Symmetries"] = {}  # by scene, the last few
+_KEPT = 32
+
+
+def _symmetries(scene: Scene) -> Symmetries:
     base = surface_motions(scene.base.surface)
     body = surface_motions(scene.body.surface)
     own = scene.has_contact_coordinates

@@ -1,0 +1,98 @@
+"""The diagram of a family of steady motions, with its stability."""
+
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..files.atomic_file import write_whole
+from ..stability.branch import Branch
+from ..validation.checks import FieldError
+from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MARKS = {"fold": "s", "zero crossing": "o", "Hopf": "D", "collision": "^"}
+
+
+def plot_family(
+    branches: Branch | list[Branch],
+    path: str | PathLike[str],
+    show: str | None = None,
+    title: str = "",
+) -> None:
+    """Write the diagram of branches as a PNG.
+
+    Args:
+        branches: Of the same family: one, or those that meet at bifurcations.
+        path: File to write.
+        show: Held quantity, group velocity or "growth" [1/s]; None: the growth.
+        title: Above the picture.
+
+    Raises:
+        FieldError: nothing of the branches has the name.
+    """
+    drawn = [branches] if isinstance(branches, Branch) else list(branches)
+    name = "growth" if show is None else show
+    figure = new_figure((7.0, 4.6))
+    panel = figure.add_subplot()
+    dress(panel)
+    heights = [_heights(branch, name) for branch in drawn]
+    for branch, y in zip(drawn, heights, strict=True):
+        _draw(panel, branch, y)
+        _mark(panel, branch, y)
+    panel.set_ylim(*limits(np.concatenate(heights), 0.08, 1e-9))
+    panel.set_xlabel(drawn[0].vary.removeprefix("hold."))
+    panel.set_ylabel("growth [1/s]" if name == "growth" else name)
+    panel.set_title(title, fontsize=10, color=INK)
+    panel.legend(fontsize=8, frameon=False)
+    write_whole(path, png(figure))
+
+
+def _heights(branch: Branch, name: str) -> np.ndarray:
+    if name == "growth":
+        rows = [np.max(np.real(p.eigenvalues), initial=0.0) for p in branch.points]
+        return np.array(rows)
+    try:
+        return branch.along(name)
+    except KeyError:
+        first = branch.points[0]
+        known = ", ".join(["growth", *first.held, *first.generator])
+        problem = "is nothing that the branch knows"
+        raise FieldError("plot.show", name, problem, f"show one of: {known}") from None
+
+
+def _draw(panel: "Axes", branch: Branch, y: np.ndarray) -> None:
+    """Each run of stable or unstable points as one line, up to its neighbours'."""
+    x, stable = branch.values, branch.stable
+    ends = np.flatnonzero(np.diff(stable)) + 1
+    seen = {line.get_label() for line in panel.get_lines()}
+    for part in np.split(np.arange(x.size), ends):
+        good = bool(stable[part[0]])
+        label = "stable" if good else "unstable"
+        wide = slice(int(part[0]), int(part[-1]) + 2)
+        panel.plot(
+            x[wide],
+            y[wide],
+            color=BLUE if good else RED,
+            linestyle="-" if good else "--",
+            label="_" if label in seen else label,
+        )
+        seen.add(label)
+
+
+def _mark(panel: "Axes", branch: Branch, y: np.ndarray) -> None:
+    order = np.argsort(branch.values)
+    seen: set[str] = set()
+    for critical in branch.critical:
+        height = np.interp(critical.value, branch.values[order], y[order])
+        panel.plot(
+            [critical.value],
+            [height],
+            marker=_MARKS[critical.kind],
+            color=INK,
+            linestyle="none",
+            label="_" if critical.kind in seen else critical.kind,
+        )
+        seen.add(critical.kind)

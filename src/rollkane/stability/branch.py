@@ -1,0 +1,120 @@
+"""A branch of steady motions: points, what is critical on it, its picture."""
+
+import dataclasses
+from os import PathLike
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from .newton import Asked, Point
+from .spectrum import Spectrum
+
+
+@dataclasses.dataclass(frozen=True)
+class BranchPoint:
+    """A steady motion on a branch.
+
+    Attributes:
+        value: Of what is varied [its unit].
+        state: At the time zero.
+        generator: Group velocities by name [m/s] or [rad/s].
+        held: Held quantities by name.
+        eigenvalues: As of ``SteadyMotion`` [1/s].
+        stable: Whether none grows beyond its error.
+    """
+
+    value: float
+    state: Any
+    generator: dict[str, float]
+    held: dict[str, float]
+    eigenvalues: Complex[np.ndarray, " k"]
+    stable: bool
+    solution: Point = dataclasses.field(repr=False)
+    told: Spectrum = dataclasses.field(repr=False)
+    tangent: np.ndarray = dataclasses.field(repr=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Critical:
+    """Where a branch turns or its stability changes.
+
+    Attributes:
+        kind: "fold": what is varied turns back; "zero crossing": an eigenvalue, or a
+            pair of opposite ones, passes zero; "Hopf": a pair passes the imaginary axis
+            and damping changes its sign; "collision": two pairs meet on the axis and
+            leave it.
+        value: Of what is varied [its unit].
+        state: There.
+        eigenvalue: That passes or meets [1/s].
+    """
+
+    kind: str
+    value: float
+    state: Any
+    eigenvalue: complex
+    point: BranchPoint = dataclasses.field(repr=False)
+
+
+@dataclasses.dataclass(frozen=True)
+class Branch:
+    """A one-parameter family of steady motions, in the order of its arc length.
+
+    Attributes:
+        vary: What is varied.
+        points: Steady motions.
+        critical: Folds and changes of stability between them.
+        asked: What was solved.
+        span: Least and largest value of what is varied [its unit].
+    """
+
+    vary: str
+    points: tuple[BranchPoint, ...]
+    critical: tuple[Critical, ...]
+    asked: Asked = dataclasses.field(repr=False)
+    span: tuple[float, float] = (-np.inf, np.inf)
+
+    @property
+    def values(self) -> Float[np.ndarray, " P"]:
+        """Of what is varied, at every point, shape (P,)."""
+        return np.array([point.value for point in self.points])
+
+    @property
+    def stable(self) -> Bool[np.ndarray, " P"]:
+        """Whether each point is stable, shape (P,)."""
+        return np.array([point.stable for point in self.points])
+
+    def along(self, name: str) -> Float[np.ndarray, " P"]:
+        """A held quantity or a group velocity at every point, shape (P,).
+
+        Raises:
+            KeyError: neither has the name.
+        """
+        return np.array([(p.held | p.generator)[name] for p in self.points])
+
+    def plot(self, path: str | PathLike[str], show: str | None = None) -> None:
+        """Write the diagram as a PNG (extra ``plot``).
+
+        Args:
+            path: File to write.
+            show: Held quantity, group velocity, or "growth" [1/s], against what is
+                varied; None: the growth.
+        """
+        from ..pictures.plot_family import plot_family
+
+        plot_family(self, path, show)
+
+    def __str__(self) -> str:
+        """How many points, and what is critical."""
+        count = int(np.sum(self.stable))
+        low, high = self.values.min(), self.values.max()
+        rows = [
+            f"{len(self.points)} steady motions, {self.vary} from {low:.9g} to "
+            f"{high:.9g}, {count} of them stable"
+        ]
+        rows += [
+            f"  {c.kind:<16}{self.vary} = {c.value:.12g}, eigenvalue "
+            f"{c.eigenvalue.real:.4g}{c.eigenvalue.imag:+.6g}i 1/s"
+            for c in self.critical
+        ]
+        return "\n".join(rows)

@@ -1,0 +1,174 @@
+"""Pseudo-arclength continuation of steady motions: one step, and the way along it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..validation.checks import FieldError
+from .branch import BranchPoint
+from .newton import SMALL, Asked, Point, Solved, equations, solved, unit_steps
+from .refusals import told
+from .steady import SOLVED, spectrum_at
+
+_TURN = 0.95  # least cosine between tangents of successive points
+_FEWEST = 1e-9  # smallest step, of the branch's unit, before it is given up
+
+
+def tangents(asked: Asked, point: Point, count: int) -> np.ndarray:
+    """Directions (x, xi, p) in which the equations stay solved, scaled, one row each.
+
+    Args:
+        asked: What is solved.
+        point: A solution.
+        count: How many are wanted: those of the smallest singular values.
+    """
+    matrix, _ = equations(asked, point)
+    across = np.linalg.svd(matrix, full_matrices=True)[2]
+    return across[across.shape[0] - count :]
+
+
+def nullity(asked: Asked, point: Point) -> int:
+    """In how many directions the equations stay solved, by rank."""
+    matrix, _ = equations(asked, point)
+    values = np.linalg.svd(matrix, compute_uv=False)
+    return matrix.shape[1] - int(np.sum(values > SMALL * values[0]))
+
+
+def refuse_span(asked: Asked, point: Point, vary: str) -> None:
+    """Refuse a branch that is none: of no direction, or of more than one."""
+    count = nullity(asked, point)
+    if count == 1:
+        return
+    if count == 0:
+        problem = "does not change along any family: more is held than is free"
+        raise FieldError("steady_family.vary", vary, problem, "hold less")
+    names = [
+        *asked.names,
+        *(f"velocity of {name}" for name in asked.problem.group),
+        vary,
+    ]
+    ways = "; ".join(told(row, names) for row in tangents(asked, point, count))
+    problem = (
+        f"leaves a family of {count} dimensions free where a branch has one "
+        f"(directions: {ways})"
+    )
+    remedy = f"hold {count - 1} more, in steady_motion(hold=...)"
+    raise FieldError("steady_family.vary", vary, problem, remedy)
+
+
+def step_from(asked: Asked, point: BranchPoint, far: float) -> Solved:
+    """The solution a way along the tangent of a point, on the plane across it."""
+    start, unit = point.solution, unit_steps(asked, point.solution)
+    n = start.local.slope.shape[0]
+    move = point.tangent * unit * far
+    return solved(
+        asked,
+        start.state,
+        start.xi + move[n:-1],
+        start.p + move[-1],
+        step=move[:n],
+        border=point.tangent / unit,
+    )
+
+
+def made(
+    asked: Asked,
+    found: Point,
+    before: np.ndarray | None,
+    dimensions: int | None = None,
+) -> BranchPoint:
+    """A point of a branch, with a tangent that goes on as before."""
+    told_ = spectrum_at(asked, found, dimensions)
+    (tangent,) = tangents(asked, found, 1)
+    if before is not None and float(tangent @ before) < 0.0:
+        tangent = -tangent
+    problem = asked.problem
+    names = [q.name for q in asked.quantities]
+    return BranchPoint(
+        value=found.p,
+        state=found.state,
+        generator=dict(zip(problem.group, found.xi.tolist(), strict=True)),
+        held=dict(zip(names, found.local.held.tolist(), strict=True)),
+        eigenvalues=told_.eigenvalues,
+        stable=told_.unstable == 0,
+        solution=found,
+        told=told_,
+        tangent=tangent,
+    )
+
+
+class Segment(NamedTuple):
+    """Two neighbouring points of a branch.
+
+    Attributes:
+        first: With the tangent that leads to the other.
+        last: The other.
+        far: How far along the tangent it lies.
+    """
+
+    first: BranchPoint
+    last: BranchPoint
+    far: float
+
+
+class Walk(NamedTuple):
+    """A way along a branch: its points, and the segments between them.
+
+    The last segment may reach over the end of the span.
+    """
+
+    points: list[BranchPoint]
+    segments: list[Segment]
+
+
+def walked(
+    asked: Asked,
+    start: BranchPoint,
+    span: tuple[float, float],
+    points: int,
+    most: int,
+    dimensions: int,
+) -> Walk:
+    """From a start along its tangent, to an end of the span or of the branch.
+
+    Args:
+        asked: What is solved.
+        start: With the tangent to go along.
+        span: Of the parameter.
+        points: How many steps the span is wide, at least.
+        most: How many points there may be.
+        dimensions: Of the family that leaves zeros among the eigenvalues.
+    """
+    low, high = span
+    longest = (high - low) / asked.unit / points
+    way, step = Walk([start], []), longest
+    while len(way.points) <= most and step > _FEWEST:
+        here = way.points[-1]
+        far = min(step, longest / max(abs(float(here.tangent[-1])), 0.1))
+        tried = step_from(asked, here, far)
+        next_ = here
+        if tried.error < SOLVED:
+            next_ = made(asked, tried.point, here.tangent, dimensions)
+        if next_ is here or float(next_.tangent @ here.tangent) < _TURN:
+            step = 0.5 * far
+            continue
+        way.segments.append(Segment(here, next_, far))
+        if not low <= next_.value <= high:
+            end = low if next_.value < low else high
+            landed = _landed(asked, here, end)
+            if landed.error < SOLVED and here.value != end:
+                last = made(asked, landed.point, here.tangent, dimensions)
+                way.points.append(last)
+            break
+        way.points.append(next_)
+        step = 2.0 * far
+    return way
+
+
+def _landed(asked: Asked, here: BranchPoint, end: float) -> Solved:
+    """The solution at an end of the span, beyond a point."""
+    start, unit = here.solution, unit_steps(asked, here.solution)
+    n = start.local.slope.shape[0]
+    change = float(here.tangent[-1]) * asked.unit
+    move = here.tangent * unit * ((end - here.value) / change)
+    return solved(asked, start.state, start.xi + move[n:-1], end, step=move[:n])

@@ -1,0 +1,186 @@
+"""Families of steady motions: branches over a held quantity or a parameter."""
+
+import dataclasses
+import difflib
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from ..identification import paths
+from ..validation.checks import FieldError
+from .branch import Branch, BranchPoint, Critical
+from .continuation import made, refuse_span, step_from, tangents, walked
+from .critical_points import critical_on
+from .newton import Asked, solved
+from .quantities import quantity
+from .refusals import refuse_moving
+from .steady import SOLVED, SteadyMotion
+
+
+def steady_family(
+    scene: Any,
+    motion: SteadyMotion,
+    vary: str,
+    span: tuple[float, float],
+    *,
+    points: int = 100,
+    max_points: int = 500,
+) -> Branch:
+    """The branch of steady motions through one of them.
+
+    By pseudo-arclength continuation both ways, round folds, to the ends of the span.
+
+    Args:
+        scene: As for ``steady_motion``.
+        motion: A steady motion of it, within the span; what it holds stays held.
+        vary: ``"hold.NAME"``: a held quantity, or another one that is then held as
+            well; else a number of the scene by its path: ``"body.mass"``,
+            ``"base.motion.rate"``, ``"loads[0].acceleration[2]"``.
+        span: Least and largest value of it [its unit].
+        points: How many steps the span is wide, at least: folds and crossings are
+            located whatever it is, but two within one step may be missed.
+        max_points: Most points each way.
+
+    Returns:
+        ``Branch``: its points, and critical values located to rounding.
+
+    Raises:
+        FieldError: a name that nothing has, a motion outside of the span, more or
+            less left free than one dimension.
+
+    Source: docs/theory.md, (9.7) to (9.9).
+    """
+    if not isinstance(cast(object, motion), SteadyMotion):
+        remedy = "give what steady_motion returns"
+        raise FieldError("steady_family.motion", motion, "is no steady motion", remedy)
+    del scene  # the motion has it, with its symmetries
+    low, high = _checked_span(span)
+    asked, p = _asked(motion, vary, high - low)
+    if not low <= p <= high:
+        problem = f"does not hold the motion's own value {p:.9g}"
+        remedy = "begin from a motion within the span, or widen it"
+        raise FieldError("steady_family.span", span, problem, remedy)
+    found = solved(asked, motion.state, motion.solution.xi, p)
+    refuse_moving("steady_family.vary", asked, found.point)
+    refuse_span(asked, found.point, vary)
+    start = made(asked, found.point, None)
+    back = dataclasses.replace(start, tangent=-start.tangent)
+    plan = _Plan(vary, asked, (low, high), points, max_points)
+    return _both_ways(plan, start, back, [start])
+
+
+def switch_branch(
+    branch: Branch, critical: Critical, *, points: int = 100, max_points: int = 500
+) -> Branch:
+    """The other branch through a simple bifurcation.
+
+    Args:
+        branch: Where the bifurcation was found.
+        critical: One of its zero crossings, or a fold.
+        points: As for ``steady_family``.
+        max_points: As for ``steady_family``.
+
+    Raises:
+        FieldError: no other branch leaves there.
+    """
+    asked, here = branch.asked, critical.point
+    both = tangents(asked, here.solution, 2)
+    known = here.tangent
+    other = both - np.outer(both @ known, known)
+    way = other[int(np.argmax(np.linalg.norm(other, axis=1)))]
+    way = way / np.linalg.norm(way)
+    starts: list[BranchPoint] = []
+    for sign in (1.0, -1.0):
+        turned = dataclasses.replace(here, tangent=sign * way)
+        for far in (1e-2, 1e-3):
+            off = step_from(asked, turned, far)
+            moved = made(asked, off.point, turned.tangent)
+            if off.error < SOLVED and abs(moved.tangent @ known) < 0.9:
+                starts.append(moved)
+                break
+    if len(starts) < 2:
+        remedy = "switch at a zero crossing where what is varied does not turn"
+        raise FieldError(
+            "switch_branch.critical", critical.kind, "has no other branch", remedy
+        )
+    plan = _Plan(branch.vary, asked, branch.span, points, max_points)
+    first, last = starts
+    return _both_ways(plan, first, last, [_turned(last), here, first])
+
+
+class _Plan(NamedTuple):
+    vary: str
+    asked: Asked
+    span: tuple[float, float]
+    points: int
+    most: int
+
+
+def _turned(point: BranchPoint) -> BranchPoint:
+    return dataclasses.replace(point, tangent=-point.tangent)
+
+
+def _both_ways(
+    plan: _Plan, ahead: BranchPoint, back: BranchPoint, middle: list[BranchPoint]
+) -> Branch:
+    """A branch from both of its starts outwards, and what lies between them."""
+    dimensions = ahead.told.family.shape[1]
+    how = plan.span, plan.points, plan.most, dimensions
+    forward = walked(plan.asked, ahead, *how)
+    backward = walked(plan.asked, back, *how)
+    points = [_turned(p) for p in backward.points[:0:-1]] + middle + forward.points[1:]
+    if middle[0].tangent[-1] < 0.0 and len(middle) == 1:
+        points = [_turned(p) for p in points[::-1]]
+    low, high = plan.span
+    found: list[Critical] = []
+    for segment in backward.segments[::-1] + forward.segments:
+        told = critical_on(plan.asked, segment, dimensions)
+        found += [c for c in told if low <= c.value <= high]
+    return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span)
+
+
+def _checked_span(span: Any) -> tuple[float, float]:
+    try:
+        low, high = (float(end) for end in span)
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        remedy = "give (least, largest)"
+        raise FieldError("steady_family.span", span, "is no range", remedy)
+    return low, high
+
+
+def _asked(motion: SteadyMotion, vary: str, width: float) -> tuple[Asked, float]:
+    """What is solved along a family, and the value to begin at."""
+    asked, state = motion.asked, motion.state
+    field = "steady_family.vary"
+    if vary.startswith("hold."):
+        name = vary.removeprefix("hold.")
+        names = [q.name for q in asked.quantities]
+        if name in names:
+            k = names.index(name)
+            own = float(motion.solution.local.held[k])
+            return asked._replace(varied=k, unit=width), own
+        extra = quantity(field, asked.problem, state, name)
+        quantities = *asked.quantities, extra
+        values = np.zeros(len(quantities))
+        values[:-1] = asked.values
+        more = asked._replace(
+            quantities=quantities, values=values, varied=len(names), unit=width
+        )
+        first = solved(more, state, motion.solution.xi, 0.0, tries=0).point
+        return more, float(first.local.held[-1])
+    try:
+        keys = paths.keys_of(vary)
+        value = paths.found(asked.problem.model, keys)
+    except (FieldError, LookupError):
+        value = ()
+    if not paths.is_floating(np.asarray(value)) or np.shape(value):
+        known = list(paths.floats(asked.problem.model))
+        held = [f"hold.{q.name}" for q in asked.quantities]
+        near = difflib.get_close_matches(vary, [*held, *known], n=1, cutoff=0.5)
+        meant = f"did you mean {near[0]!r}? " if near else ""
+        remedy = f"{meant}name one number: {', '.join([*held, *known])} (with an index)"
+        raise FieldError(field, vary, "is nothing that can be varied", remedy)
+    keys = paths.keys_of(vary)
+    return asked._replace(keys=keys, unit=width), float(cast(float, value))

@@ -1,0 +1,252 @@
+"""Newton's method for steady motions, on the host: bordered, damped, of any rank.
+
+Unknown are the step x in independent coordinates, the group velocities xi and, along a
+family, a parameter p. Symmetries and families make the equations singular by nature:
+the rank is decided at every step, and what it leaves open is not moved.
+"""
+
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from ..identification import paths
+from .local_model import LocalModel, local_model
+from .problem import AbstractProblem
+from .quantities import Quantity
+from .surface_motions import echelon, null_space
+
+# Shares of the largest singular value, of equations whose rows have unit length: what
+# is less is zero. In double precision zeros are 1e-13 or less where curvatures are of
+# order one; directions that count are seldom below 1e-4.
+SMALL = 1e-8
+_TRIES = 60
+# of steps that equations still ask for: where they settle, and where they may [1]
+ROUNDING, _NEAR = 1e-14, 1e-10
+
+
+class Asked(NamedTuple):
+    """What is solved: a problem, a parameter, quantities and their values.
+
+    Attributes:
+        problem: With symmetries.
+        keys: Of the parameter; None: none, or a held value.
+        quantities: Held.
+        values: Theirs, shape (q,).
+        varied: Number of the held quantity whose value is the parameter; None: another
+            parameter, or none.
+        unit: What the parameter is measured by.
+        names: Of the independent coordinates.
+        fast: Which of them are velocities.
+    """
+
+    problem: AbstractProblem
+    keys: paths.Keys | None
+    quantities: tuple[Quantity, ...]
+    values: np.ndarray
+    varied: int | None = None
+    unit: float = 1.0
+    names: tuple[str, ...] = ()
+    fast: tuple[bool, ...] = ()
+
+
+class Point(NamedTuple):
+    """A state with group velocities and a parameter, and the problem around it."""
+
+    state: Any
+    xi: np.ndarray
+    p: float
+    local: LocalModel
+
+
+class Directions(NamedTuple):
+    """The group at a point.
+
+    Attributes:
+        moved: Orthonormal directions in which it moves the state, shape (n, r).
+        idle: Group velocities that leave the state where it is, one row each, with a
+            place of its own each, shape (K - r, K).
+    """
+
+    moved: np.ndarray
+    idle: np.ndarray
+
+
+def sizes_of(asked: Asked, point: Point) -> np.ndarray:
+    """What coordinates are measured by: velocities by the angular velocity."""
+    fast = np.asarray(asked.fast)
+    quick = max(1.0, float(np.abs(point.xi).max(initial=0.0)))
+    return np.where(fast, quick, 1.0)
+
+
+def directions(local: LocalModel, size: np.ndarray) -> Directions:
+    """Where the group moves a state, by the rank of its generators."""
+    scaled = local.groups / size[:, None]
+    length = np.linalg.norm(scaled, axis=0)
+    unit = scaled / np.where(length > 0.0, length, 1.0)
+    if not unit.shape[1]:
+        return Directions(np.zeros((size.size, 0)), np.zeros((0, 0)))
+    left, values, _ = np.linalg.svd(unit)
+    rank = int(np.sum(values > SMALL * max(1.0, values[0])))
+    moved = np.linalg.qr(size[:, None] * left[:, :rank])[0]
+    idle = null_space(unit, SMALL * max(1.0, float(values[0])))
+    idle = idle / np.where(length > 0.0, length, 1.0)
+    return Directions(moved, echelon(idle / np.linalg.norm(idle, axis=1)[:, None]))
+
+
+def followed(local: LocalModel) -> np.ndarray:
+    """Group velocities along a family by x, shape (K, n): ``A x = G dxi`` there."""
+    return pseudo_inverse(local.groups) @ local.slope
+
+
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Moore and Penrose's inverse, by rank."""
+    return cast(np.ndarray, np.linalg.pinv(matrix, rcond=SMALL))
+
+
+def point_at(
+    asked: Asked, state: Any, step: np.ndarray, xi: np.ndarray, p: float
+) -> Point:
+    """The point at a step from a state."""
+    there, local = local_model(
+        asked.problem, asked.keys, asked.quantities, state, step, xi, p
+    )
+    return Point(there, xi, p, local)
+
+
+def mismatch(asked: Asked, point: Point) -> np.ndarray:
+    """Held quantities less their values."""
+    values = np.array(asked.values, float)
+    if asked.varied is not None:
+        values[asked.varied] = point.p
+    return point.local.held - values
+
+
+def equations(asked: Asked, point: Point) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and right-hand side of a step (x, xi, p), rows of unit length.
+
+    Rows: the residual, phase conditions (no motion along the group, no idle velocity),
+    what is held.
+    """
+    local, size = point.local, sizes_of(asked, point)
+    group = directions(local, size)
+    n, K, q = size.size, point.xi.size, len(asked.quantities)
+    r, idle = group.moved.shape[1], group.idle.shape[0]
+    rows = np.zeros((n + r + idle + q, n + K + 1))
+    rows[:n, :n], rows[:n, n:-1] = local.slope, -local.groups
+    rows[:n, -1] = local.by_parameter
+    rows[n : n + r, :n] = (group.moved / size[:, None]).T
+    rows[n + r : n + r + idle, n:-1] = group.idle
+    rows[n + r + idle :, :n] = local.held_by_x
+    rows[n + r + idle :, n:-1] = local.held_by_group
+    rows[n + r + idle :, -1] = local.held_by_parameter
+    if asked.varied is not None:
+        rows[n + r + idle + asked.varied, -1] -= 1.0
+    right = np.zeros(rows.shape[0])
+    right[:n] = -local.residual
+    right[n + r + idle :] = -mismatch(asked, point)
+    rows[:, :n] *= size[None]
+    rows[:, n:-1] *= size.max()
+    rows[:, -1] *= asked.unit
+    # a row that is small beside the rates' own rounding says nothing
+    length = np.linalg.norm(rows, axis=1)
+    length[:n] = np.maximum(length[:n], 1e-6 * length[:n].max(initial=0.0))
+    length = np.where(length > 0.0, length, 1.0)
+    return rows / length[:, None], right / length
+
+
+class Solved(NamedTuple):
+    """Where Newton's method ended.
+
+    Attributes:
+        point: There.
+        error: Largest of the residuals, each as a step of its own equation [1].
+        matrix: The equations' last matrix, scaled.
+    """
+
+    point: Point
+    error: float
+    matrix: np.ndarray
+
+
+def solved(
+    asked: Asked,
+    state: Any,
+    xi: np.ndarray,
+    p: float,
+    step: np.ndarray | None = None,
+    border: np.ndarray | None = None,
+    tries: int = _TRIES,
+) -> Solved:
+    """Levenberg and Marquardt's method from a guess, to rounding.
+
+    Args:
+        asked: What is solved.
+        state: Guess.
+        xi: Guess of the group velocities.
+        p: Value of the parameter: kept, or where the border begins.
+        step: First step from the state, shape (n,); None: none.
+        border: Row of (x, xi, p) that all further steps have to be at right angles
+            to; None: p is kept.
+        tries: Most steps; 0: none, the guess itself.
+    """
+    n, K = len(asked.names), xi.size
+    step = np.zeros(n) if step is None else step
+    point, done = point_at(asked, state, step, xi, p), np.zeros(n)
+    matrix, right = _bordered(asked, point, done, xi, p, border)
+    error, damping = _size(right), 0.0
+    for _ in range(tries):
+        move = _damped(matrix, right, damping)
+        scale = sizes_of(asked, point)
+        x, own = move[:n] * scale, move[n : n + K] * scale.max()
+        p_next = point.p + (0.0 if border is None else float(move[-1]) * asked.unit)
+        trial = point_at(asked, point.state, x, point.xi + own, p_next)
+        there = _bordered(asked, trial, done + x, xi, p, border)
+        size = _size(there[1])
+        if size < error:  # false of bad numbers, too
+            settles = size > 0.5 * error
+            point, done, error = trial, done + x, size
+            matrix, right = there
+            damping = 0.0 if damping < 1e-6 else 0.1 * damping
+            if error < ROUNDING or (settles and error < _NEAR):
+                break
+            continue
+        if error < _NEAR or damping > 1e6:
+            break  # rounding, or nothing helps
+        damping = 1e-6 if damping == 0.0 else 10.0 * damping
+    return Solved(point, error, matrix)
+
+
+def _bordered(
+    asked: Asked,
+    point: Point,
+    done: np.ndarray,
+    xi: np.ndarray,
+    p: float,
+    border: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    matrix, right = equations(asked, point)
+    if border is None:
+        return matrix[:, :-1], right
+    gone = np.concatenate([done, point.xi - xi, [point.p - p]])
+    row = border * unit_steps(asked, point)
+    length = float(np.linalg.norm(row))
+    left = -float(border @ gone) / length
+    return np.concatenate([matrix, row[None] / length]), np.append(right, left)
+
+
+def unit_steps(asked: Asked, point: Point) -> np.ndarray:
+    """What a unit of each unknown (x, xi, p) of the scaled equations is."""
+    size = sizes_of(asked, point)
+    return np.concatenate([size, np.full(point.xi.size, size.max()), [asked.unit]])
+
+
+def _size(right: np.ndarray) -> float:
+    return float(np.max(np.abs(right), initial=0.0))
+
+
+def _damped(matrix: np.ndarray, right: np.ndarray, damping: float) -> np.ndarray:
+    """The least step that the equations ask for, damped."""
+    left, values, across = np.linalg.svd(matrix, full_matrices=False)
+    kept = values > SMALL * values[0]
+    weights = np.where(kept, values / np.where(kept, values**2 + damping, 1.0), 0.0)
+    return across.T @ (weights * (left.T @ right))

@@ -1,0 +1,111 @@
+"""Why there is no steady motion to be told of: sentences with ranks and directions."""
+
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..validation.checks import FieldError
+from .newton import SMALL, Asked, Point, Solved, followed, sizes_of, solved
+
+# of a quantity's change along a symmetry, beside its largest change: not rounding
+_MOVES = 1e-6
+
+
+def refuse_moving(field: str, asked: Asked, point: Point) -> None:
+    """Refuse held quantities that a symmetry does not leave fixed."""
+    local, size = point.local, sizes_of(asked, point)
+    for k, q in enumerate(asked.quantities):
+        slope = local.held_by_x[k] * size
+        for j, name in enumerate(asked.problem.group):
+            way = local.groups[:, j] / size
+            change = abs(float(slope @ way))
+            if change > _MOVES * float(np.linalg.norm(slope) * np.linalg.norm(way)):
+                problem = f"is not left fixed by the symmetry {name!r}"
+                remedy = (
+                    "hold what the symmetry does not change (a speed, a tilt, an "
+                    "energy), or the group velocity itself by its name"
+                )
+                raise FieldError(f"{field}[{q.name!r}]", q.name, problem, remedy)
+
+
+def refuse_overheld(asked: Asked, point: Point, family: np.ndarray) -> None:
+    """Refuse more held quantities than the family of steady motions has dimensions."""
+    q = len(asked.quantities)
+    if not q:
+        return
+    local, size = point.local, sizes_of(asked, point)
+    follow = followed(local)
+    rows: np.ndarray = local.held_by_x + local.held_by_group @ follow
+    length = np.linalg.norm(rows * size[None], axis=1)
+    rows = rows / np.where(length > 0.0, length, 1.0)[:, None]
+    values = np.linalg.svd(rows @ family, compute_uv=False) if family.size else ()
+    rank = int(np.sum(np.asarray(values) > 1e-6))
+    if rank < q:
+        _refuse_holds(asked, point, family, rank)
+
+
+def _refuse_holds(
+    asked: Asked, point: Point, family: np.ndarray, rank: int
+) -> NoReturn:
+    names = asked.names
+    d, held = family.shape[1], [q.name for q in asked.quantities]
+    ways = "; ".join(told(column, names) for column in family.T) or "none"
+    problem = (
+        f"holds {len(held)} where the steady motions near the guess are a family of "
+        f"{d} dimensions, of which these quantities see {rank} (directions: {ways})"
+    )
+    raise FieldError(
+        "steady_motion.hold", held, problem, f"hold {rank} of them, or others"
+    )
+
+
+def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
+    """Say why no steady motion was found: none is near, or too much is held."""
+    if asked.quantities:
+        free = asked._replace(quantities=(), values=np.zeros(0))
+        near = solved(free, state, found.point.xi, 0.0)
+        if near.error < 1e-10:
+            held = {
+                q.name: float(v)
+                for q, v in zip(asked.quantities, asked.values, strict=True)
+            }
+            problem = (
+                "cannot be reached: there is a steady motion near the guess, but none "
+                "with these values; " + _of_rank(found, asked)
+            )
+            remedy = "give values nearer to those of the guess, or hold less"
+            raise FieldError("steady_motion.hold", held, problem, remedy)
+    problem = "has no steady motion near it; " + _of_rank(found, asked)
+    remedy = (
+        "begin nearer to one, or let the scene have its symmetries (a level plane, a "
+        "body of revolution)"
+    )
+    raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
+
+
+def _of_rank(found: Solved, asked: Asked) -> str:
+    """Rank of the equations where the search ended, and what they do not reach."""
+    values = np.linalg.svd(found.matrix, compute_uv=False)
+    rank = int(np.sum(values > SMALL * values[0]))
+    names = asked.names
+    n = len(names)
+    # the residual that is left, in the rates of the coordinates
+    rest = found.point.local.residual
+    return (
+        f"of {n} rates with {found.matrix.shape[1]} unknowns the equations have rank "
+        f"{rank} and leave {told(rest, names)}"
+    )
+
+
+def told(direction: np.ndarray, names: Sequence[str]) -> str:
+    """A direction by its largest parts."""
+    size = float(np.abs(direction).max(initial=0.0))
+    if not np.isfinite(size) or size == 0.0:
+        return "nothing" if size == 0.0 else "no numbers"
+    parts = [
+        f"{value:+.3g} {name}"
+        for value, name in zip(direction, names, strict=True)
+        if abs(value) > 1e-3 * size
+    ]
+    return " ".join(parts)

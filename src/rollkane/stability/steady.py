@@ -1,0 +1,220 @@
+"""Steady motions: relative equilibria of a scene, and whether they are stable."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ..dynamics.scene import Scene
+from ..kane.system import KaneSystem
+from ..validation.checks import FieldError, is_traced
+from .independent_coordinates import independent_coordinates
+from .kane_problem import kane_problem
+from .newton import (
+    Asked,
+    Point,
+    Solved,
+    directions,
+    followed,
+    pseudo_inverse,
+    sizes_of,
+    solved,
+)
+from .problem import AbstractProblem, rolling_problem
+from .quantities import held_quantities
+from .refusals import refuse_moving, refuse_overheld, refuse_unsolved
+from .spectrum import Spectrum, spectrum
+from .symmetries import symmetries
+
+# largest step that a solved equation may still ask for [1]: rounding of some 1e3
+# operations, and of curvatures up to 1e2
+SOLVED = 1e-10
+
+
+@dataclasses.dataclass(frozen=True)
+class SteadyMotion:
+    """A motion that a group of symmetries makes: ``rates = generator`` at every time.
+
+    Attributes:
+        state: At the time zero.
+        generator: Group velocities by the names of ``symmetries`` [m/s] or [rad/s].
+        held: Quantities that were held, by name.
+        eigenvalues: Of small motions about it, in the frame that moves with the group,
+            by falling growth [1/s], shape (k,), complex: without the zeros of group
+            and family.
+        modes: Their directions in the independent coordinates, shape (n, k).
+        coordinates: Names of these coordinates.
+        zeros: Eigenvalues that symmetry and family explain, by name [1/s]: zero, or
+            plus and minus i times the turn that turns a direction of the group.
+        errors: How far rounding may move each eigenvalue [1/s], shape (k,).
+        stable: Whether no eigenvalue grows, beyond its error: on the imaginary axis
+            that is stability of the linear model alone.
+        family: Number of dimensions of the family of steady motions through it.
+        problem: What was asked, with its symmetries.
+        solution: The solution in independent coordinates.
+        asked: What was held.
+    """
+
+    state: Any
+    generator: dict[str, float]
+    held: dict[str, float]
+    eigenvalues: Complex[np.ndarray, " k"]
+    modes: Complex[np.ndarray, "n k"]
+    coordinates: tuple[str, ...]
+    zeros: dict[str, complex]
+    errors: Float[np.ndarray, " k"]
+    stable: bool
+    family: int
+    problem: AbstractProblem = dataclasses.field(repr=False)
+    solution: Point = dataclasses.field(repr=False)
+    asked: Asked = dataclasses.field(repr=False)
+
+    @property
+    def growth(self) -> float:
+        """Largest rate of growth [1/s]."""
+        return float(np.max(np.real(self.eigenvalues), initial=-np.inf))
+
+    def at(self, time: Any) -> Any:
+        """The state at another time [s], exactly: moved by the group, with the base."""
+        t = jnp.asarray(time, jnp.result_type(float))
+        moved = self.problem.along_group(self.state, t * jnp.asarray(self.solution.xi))
+        return self.problem.carried(moved, t)
+
+    def __str__(self) -> str:
+        """What it is, line by line."""
+        rows = [f"steady motion, {'stable' if self.stable else 'unstable'}"]
+        rows += [f"  {name:<28}{v:>16.9g}" for name, v in self.generator.items()]
+        rows += [f"  held {name:<23}{v:>16.9g}" for name, v in self.held.items()]
+        rows += [f"  eigenvalue {_complex(v):>33} 1/s" for v in self.eigenvalues]
+        rows += [
+            f"  zero of {name:<20} {_complex(v):>15}" for name, v in self.zeros.items()
+        ]
+        return "\n".join(rows)
+
+
+def _complex(value: complex) -> str:
+    if value.imag == 0.0:
+        return f"{value.real:.9g}"
+    return f"{value.real:.9g} {'+' if value.imag > 0 else '-'} {abs(value.imag):.9g}i"
+
+
+def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
+    """The steady motion near a guess, and its stability.
+
+    Args:
+        scene: What rolls on what; its base may rest, glide or turn steadily. Or a
+            ``rollkane.kane.KaneSystem``.
+        guess: A state near it.
+        hold: What is held, by name: ``{"speed": 1.0, "tilt": 0.3}`` [m/s], [rad]; a
+            sequence of names, or a value None, holds what the guess has. Names:
+            "speed" of the mass centre, "tilt" of the body's z axis, "spin" about it,
+            "energy", "moving energy", "momentum x", "angular momentum z", "normal
+            force"; a generator, for its velocity; a number of the state
+            ("angular_velocity[2]"); ``{"name": (function, value)}`` of
+            ``function(scene, t, state)``. Of what is left free the motion nearest to
+            the guess is taken.
+
+    Returns:
+        ``SteadyMotion``, solved to rounding.
+
+    Raises:
+        FieldError: a scene that depends on time, no steady motion near the guess, more
+            held than is free, what a symmetry does not leave fixed.
+
+    Source: docs/theory.md, (9.7), (9.8).
+    """
+    problem, state = problem_of(scene, guess)
+    quantities, values = held_quantities("steady_motion.hold", problem, state, hold)
+    names, fast = problem.coordinates(state)
+    asked = Asked(problem, None, quantities, np.zeros(len(quantities)))
+    asked = asked._replace(names=names, fast=fast)
+    start = np.zeros(len(problem.group))
+    first = solved(asked, state, start, 0.0, tries=0).point
+    given = zip(values, first.local.held, strict=True)
+    wanted = [float(own) if v is None else v for v, own in given]
+    asked = asked._replace(values=np.array(wanted, float))
+    refuse_moving("steady_motion.hold", asked, first)
+    found = solved(asked, state, guessed_velocities(asked, first), 0.0)
+    if not found.error < SOLVED:
+        refuse_unsolved(asked, state, found)
+    return motion_of(asked, found)
+
+
+def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
+    """The problem of a scene or a system, and a guess that it can have.
+
+    Raises:
+        FieldError: neither, numbers that are traced or of single precision, a state of
+            another kind.
+    """
+    if is_traced(scene, guess):
+        problem, remedy = "is traced", "call it outside of jit and derivatives"
+        raise FieldError("steady_motion.guess", "a traced state", problem, remedy)
+    if isinstance(scene, KaneSystem):
+        return kane_problem(scene, guess)
+    if not isinstance(scene, Scene):
+        remedy = "give a Scene or a rollkane.kane.KaneSystem"
+        raise FieldError("steady_motion.scene", scene, "is neither", remedy)
+    if jax.tree.leaves(guess)[0].dtype != np.float64:
+        problem = "is in single precision, in which no rank can be told"
+        remedy = 'call jax.config.update("jax_enable_x64", True) first'
+        raise FieldError("steady_motion.guess", "float32", problem, remedy)
+    around = independent_coordinates(scene, guess)
+    return rolling_problem(scene, symmetries(scene)), around.reference
+
+
+def guessed_velocities(asked: Asked, point: Point) -> np.ndarray:
+    """Group velocities that come nearest to the rates of a state."""
+    local, size = point.local, sizes_of(asked, point)
+    scaled = local.groups / size[:, None]
+    if not scaled.shape[1]:
+        return np.zeros(0)
+    xi = pseudo_inverse(scaled) @ (local.rates / size)
+    for row in directions(local, size).idle:  # the first of those that do the same
+        place = int(np.argmax(np.abs(row)))
+        xi = xi - xi[place] / row[place] * row
+    return xi
+
+
+def motion_of(asked: Asked, found: Solved) -> SteadyMotion:
+    """A steady motion from a solution, refused where more is held than free."""
+    point = found.point
+    told = spectrum_at(asked, point)
+    refuse_overheld(asked, point, told.family)
+    problem = asked.problem
+    names = [q.name for q in asked.quantities]
+    return SteadyMotion(
+        state=point.state,
+        generator=dict(zip(problem.group, point.xi.tolist(), strict=True)),
+        held=dict(zip(names, point.local.held.tolist(), strict=True)),
+        eigenvalues=told.eigenvalues,
+        modes=told.modes,
+        coordinates=asked.names,
+        zeros=told.zeros,
+        errors=told.errors,
+        stable=told.unstable == 0,
+        family=told.family.shape[1],
+        problem=problem,
+        solution=point,
+        asked=asked,
+    )
+
+
+def spectrum_at(asked: Asked, point: Point, dimensions: int | None = None) -> Spectrum:
+    """Eigenvalues at a solution; of a family of known dimensions, or by rank."""
+    local, size = point.local, sizes_of(asked, point)
+    group = directions(local, size)
+    names = asked.problem.group
+    labels = [
+        (q.name, row)
+        for q, row in zip(asked.quantities, local.held_by_x, strict=True)
+        if q.velocity is None
+    ]
+    follow = followed(local)
+    labels += [(f"velocity of {n}", row) for n, row in zip(names, follow, strict=True)]
+    coordinates = asked.names
+    labels += list(zip(coordinates, np.eye(size.size), strict=True))
+    return spectrum(local, size, group, names, labels, dimensions)
