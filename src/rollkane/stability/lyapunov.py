@@ -20,6 +20,7 @@ from ..codegen.compile_effort import around_a_loop
 from ..dynamics.scene import Scene
 from ..integration.integrate import tolerances
 from ..kinematics.coordinates import State
+from ..simulation.run_checks import check_span
 from ..validation.checks import FieldError, is_traced, positive, real, whole
 from ..validation.codes import Code, reason_of
 from .independent_coordinates import IndependentCoordinates, independent_coordinates
@@ -165,6 +166,7 @@ def lyapunov_exponents(
         raise FieldError(f"{field}.count", count, problem, f"give 1 to {n}")
     if interval is not None:
         interval = float(positive(f"{field}.interval", interval, (), "a time [s]"))
+    check_span(scene, np.asarray([begin, begin + horizon]))
     options = RunOptions(rtol, atol, max_steps, method)
     return _spectrum(around, horizon, interval, count, options)
 

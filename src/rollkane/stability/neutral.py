@@ -37,7 +37,7 @@ class Neutral(NamedTuple):
     """Of a state, in independent coordinates around it.
 
     Attributes:
-        names: Of the independent directions: ``"flow"`` and symmetries.
+        names: Of the independent directions: symmetries, and ``"flow"``.
         directions: Changes of the coordinates, one row for each name, shape (r, n).
         integrals: Names of the integrals.
         slopes: Their derivatives by the coordinates, shape (s, n).
@@ -64,7 +64,7 @@ def neutral(around: IndependentCoordinates, group: Symmetries) -> Neutral:
     kind = observables.kept_energy(around.scene)
     autonomous = group.drift is not None
     rows, slopes = _rows(around, group, autonomous, kind)
-    names = ((FLOW,) if autonomous else ()) + tuple(group.names)
+    names = tuple(group.names) + ((FLOW,) if autonomous else ())
     loose = _DEPENDENT[np.dtype(rows.dtype).itemsize]
     kept = independent_rows(np.asarray(rows, float), loose)
     slope = np.asarray(slopes, float)
@@ -87,14 +87,13 @@ def _rows(
     scene, t = around.scene, around.time
     rest = jnp.zeros(around.count, t.dtype)
     state = around.state(rest)
-    rows: list[Array] = []
-    if autonomous:
+    rows = [around.velocity(rest, group[name](state, t)) for name in group.names]
+    if autonomous:  # last: of a steady motion it depends on the symmetries
         difference: Callable[[Array, Array], Array] = lambda a, b: a - b
         carrying = group.carrying(state, t)
         rates = rolling_derivative(scene, t, state)
         own: Any = jax.tree.map(difference, rates, carrying)
         rows.append(around.velocity(rest, own))
-    rows += [around.velocity(rest, group[name](state, t)) for name in group.names]
     slopes = jnp.zeros((0, around.count), t.dtype)
     if kind:
 

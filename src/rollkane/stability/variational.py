@@ -34,7 +34,7 @@ class Carried(NamedTuple):
 
     Attributes:
         state: At its end.
-        changes: Of the coordinates around that state, by column, shape (n, k).
+        changes: Of its coordinates, by column, shape (n, k).
         code: Why it ended, one of :class:`rollkane.Code`.
     """
 
@@ -48,6 +48,7 @@ def carried(
     changes: Float[Array, "n k"],
     duration: Float[Array, ""],
     options: RunOptions,
+    coordinates: Callable[[State], Array] | None = None,
 ) -> Carried:
     """A run, and where changes of its start's coordinates lead.
 
@@ -56,6 +57,8 @@ def carried(
         changes: Of its coordinates, by column, shape (n, k).
         duration: [s].
         options: Of the run.
+        coordinates: ``coordinates(state)`` of the end; left out, independent ones
+            around the end itself.
     """
     scene, t = start.scene, start.time
 
@@ -70,7 +73,7 @@ def carried(
 
     def pushed(change: Float[Array, " n"]) -> Float[Array, " n"]:
         moved = cast(_Pushed, jax.jvp(ended, (rest,), (change,)))[1][0]
-        function: Callable[[State], Array] = end.coordinates
+        function = end.coordinates if coordinates is None else coordinates
         return cast(Array, jax.jvp(function, (state,), (moved,))[1])
 
     found = jax.vmap(pushed, in_axes=1, out_axes=1)(changes)
