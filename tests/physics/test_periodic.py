@@ -83,6 +83,7 @@ def test_a_family_from_a_normal_mode_to_large_amplitude(swing):
         assert point.volume_ratio == pytest.approx(1.0, abs=1e-8)
 
 
+@pytest.mark.slow  # in part by the example of docs/periodic.md
 def test_multipliers_of_small_swings():
     """Of the motion along y, in x: ``exp(+-2 pi i omega_x / omega_y)``."""
     a, b, small = 1.0, 1.7, 1e-3
@@ -110,6 +111,7 @@ def test_multipliers_of_small_swings():
             assert found.expected[4:] == ("energy", "family")
 
 
+@pytest.mark.slow  # in part by the example of docs/periodic.md
 def test_a_swing_that_loses_its_stability():
     """The multiplier by differences of runs, and where it leaves the unit circle."""
     scene = two_bowls(1.0, 1.7)
@@ -225,6 +227,33 @@ def test_a_shaken_and_damped_swing():
         rk.periodic_motion(scene, start, 1.01 * period)
 
 
+@pytest.mark.slow
+def test_a_slow_growth_is_no_family():
+    """Of an ellipsoid in a bowl, which may rest with any yaw; its swings turn it.
+
+    A multiplier within 0.2 of one, in a block with shears of order one, whose smallest
+    singular value is that of its square: the energy of a yaw is of second order.
+    """
+    known = load_scene("ellipsoid-in-bowl")
+    rest = rk.place(known.scene, UPRIGHT, STILL, STILL)
+    found = rk.normal_mode_motion(known.scene, rest, 0.2)
+    assert not found.stable
+    largest = found.multipliers[0]
+    assert 1.0 < largest.real < 1.5
+    # with its inverse: the swing is reversible
+    assert np.min(np.abs(found.multipliers * largest - 1.0)) < 1e-6
+    # followed by runs alone: a small yaw grows by this factor in each period
+    around = IndependentCoordinates(known.scene, jnp.zeros(()), found.state)
+    values, vectors = np.linalg.eig(found.monodromy)
+    k = int(np.argmin(np.abs(values - largest)))
+    x = 1e-6 * np.real(vectors[:, k])
+    times = np.array([0.0, found.period])
+    run = rk.simulate(known.scene, around.state(jnp.asarray(x)), times, rtol=1e-12)
+    # second order: 1e-6 times 1e2, over the factor's distance from one
+    grown = np.asarray(around.coordinates(run.final_state))
+    assert (grown @ x) / (x @ x) == pytest.approx(largest.real, rel=1e-3)
+
+
 def test_expected_multipliers_are_split_off_jordan_blocks():
     """A flow with an energy's shear, a family's block, and two pairs to be told."""
     draw = np.random.default_rng(3)
@@ -257,6 +286,7 @@ def test_refusals(swing):
         (high, -2.0, {}, "period: must be positive"),
         (high, 2.0, {"hold": {"colour": 1.0}}, "'colour'.: is not known.*'energy'"),
         (high, 2.0, {"hold": {"energy": "much"}}, "must be made of numbers"),
+        (high, 2.0, {"hold": {"tilt": None}}, "'tilt'.: is not left as it is"),
         (high, 2.0, {"segments": 0}, "segments: must be a whole number"),
         (
             swing.state,

@@ -16,7 +16,7 @@ from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from ..validation.codes import Code, reason_of
 from .independent_coordinates import IndependentCoordinates
-from .neutral import Neutral, neutral
+from .neutral import FLOW, Neutral, neutral
 from .shooting import (
     Closing,
     Nodes,
@@ -64,6 +64,7 @@ class Linear(NamedTuple):
         closed: The start, moved.
         around: What is neutral at the start.
         sizes: Of the unknowns' changes that are alike, shape (u,).
+        flow: Rates of the start's coordinates, shape (n,); None: of a driven scene.
     """
 
     miss: np.ndarray
@@ -72,6 +73,7 @@ class Linear(NamedTuple):
     closed: Closing
     around: Neutral
     sizes: np.ndarray
+    flow: np.ndarray | None
 
     @property
     def scaled(self) -> np.ndarray:
@@ -84,6 +86,21 @@ class Linear(NamedTuple):
         kept = values > _RANK * values[0]
         filtered = np.where(kept, values / (values**2 + damping), 0.0)
         return -self.sizes * (right.T @ (filtered * (left.T @ self.miss)))
+
+    @property
+    def own_flow(self) -> np.ndarray | None:
+        """The flow without what symmetries do, in changes of like size [1/s].
+
+        None: the scene depends on time.
+        """
+        known = self.around
+        if self.flow is None:
+            return None
+        rows = known.directions / self.sizes[: known.directions.shape[1]]
+        others = rows[[name != FLOW for name in known.names]]
+        basis = np.linalg.qr(others.T)[0]
+        flow = self.flow / self.sizes[: self.flow.size]
+        return flow - basis @ (basis.T @ flow)
 
     @property
     def rank(self) -> int:
@@ -156,7 +173,8 @@ def linearized(shot: Shooting, nodes: Nodes, held: tuple[Held, ...]) -> Linear:
     bordered, wanted, _ = borders(shot, nodes, held, size, unknowns)
     rows = np.concatenate([rows / tiled[:, None], phases, bordered])
     miss = np.concatenate([miss, np.zeros(phases.shape[0]), wanted])
-    return Linear(miss, rows, segments, closed, known, sizes)
+    flow = None if shot.driven else known.flow
+    return Linear(miss, rows, segments, closed, known, sizes, flow)
 
 
 def _phases(known: Neutral, size: np.ndarray, unknowns: int) -> np.ndarray:
@@ -226,7 +244,7 @@ class Solved(NamedTuple):
     Attributes:
         nodes: Unknowns.
         linear: Equations there.
-        miss: Largest that is left, in changes of like size [1].
+        miss: What is left, in changes of like size [1].
         converged: Whether that is rounding and the tolerance of runs.
         steps: How many it took.
     """
@@ -280,7 +298,9 @@ def solve(
 
 
 def _size(linear: Linear) -> float:
-    size = float(np.abs(linear.miss).max())
+    """Of all that does not close, as a root of squares."""
+    beside = [float(one.beside) for one in linear.segments]
+    size = float(np.linalg.norm([*linear.miss, *beside]))
     return size if np.isfinite(size) else np.inf
 
 

@@ -9,9 +9,12 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
+from .neutral import FLOW
+
 FAMILY = "family"
-# Of the monodromy's size: what its runs and roundings leave uncertain.
-LOOSE = 1e-7
+# Of the monodromy's size: rounding, and how much more than the errors that what is
+# neutral shows may be in what is not.
+_ROUNDING, _MORE = 1e-13, 30.0
 
 
 class Floquet(NamedTuple):
@@ -24,12 +27,15 @@ class Floquet(NamedTuple):
             ``"family"`` for each further direction in which there are periodic motions
             beside this one, by rank.
         expected_multipliers: Of the flow and the symmetries together, then ones.
+        error: Of the monodromy, over its size: by how much directions and integrals
+            are not neutral, with a margin.
     """
 
     multipliers: np.ndarray
     uncertain: np.ndarray
     expected: tuple[str, ...]
     expected_multipliers: np.ndarray
+    error: float
 
 
 def floquet(
@@ -38,7 +44,6 @@ def floquet(
     directions: np.ndarray,
     integrals: tuple[str, ...],
     slopes: np.ndarray,
-    loose: float = LOOSE,
 ) -> Floquet:
     """Split a monodromy matrix.
 
@@ -48,16 +53,23 @@ def floquet(
         directions: Shape (r, n), independent.
         integrals: Names of integrals.
         slopes: Rows that it leaves as they are, shape (s, n).
-        loose: What of its size counts as nothing.
     """
     n = monodromy.shape[0]
     found = list(names)
     inside, outside = _parted(directions.T, n)
     on_span = np.linalg.eigvals(inside.T @ monodromy @ inside)
+    size = float(np.linalg.norm(monodromy, 2))
+    strays = [outside.T @ monodromy @ inside, np.zeros((1, 1))]
+    strays += [_unit(row @ monodromy - row, row)[None] for row in slopes]
+    if FLOW in names:
+        flow = directions[names.index(FLOW)]
+        strays.append(_unit(monodromy @ flow - flow, flow)[None])
+    seen = max(float(np.abs(part).max(initial=0.0)) for part in strays)
+    error = _MORE * max(seen / size, _ROUNDING)
     rest = outside.T @ monodromy @ outside
     rows = slopes @ outside
-    size = np.linalg.norm(slopes, axis=1) * np.sqrt(loose)
-    steep = [k for k in range(len(integrals)) if np.linalg.norm(rows[k]) > size[k]]
+    least = np.linalg.norm(slopes, axis=1) * np.sqrt(error)
+    steep = [k for k in range(len(integrals)) if np.linalg.norm(rows[k]) > least[k]]
     along = _parted(rows[steep].T, rest.shape[0])[1]
     rest = along.T @ rest @ along
     found += [integrals[k] for k in steep]
@@ -66,16 +78,20 @@ def floquet(
             tuple[np.ndarray, np.ndarray, np.ndarray],
             np.linalg.svd(rest - np.eye(rest.shape[0])),
         )
-        small = values <= loose * max(1.0, np.linalg.norm(monodromy, 2))
+        small = values <= error * size
         if not small.any():
             break
         found += [FAMILY] * int(small.sum())
         kept = right[~small]
         rest = kept @ rest @ kept.T
-    multipliers, uncertain = _eigenvalues(rest, loose)
+    multipliers, uncertain = _eigenvalues(rest, error * size)
     ones = np.ones(len(found) - on_span.size)
     expected = np.concatenate([on_span.astype(complex), ones])
-    return Floquet(multipliers, uncertain, tuple(found), expected)
+    return Floquet(multipliers, uncertain, tuple(found), expected, error)
+
+
+def _unit(vector: np.ndarray, like: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(like)
 
 
 def _parted(columns: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +104,7 @@ def _parted(columns: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     return whole[:, :count], whole[:, count:]
 
 
-def _eigenvalues(matrix: np.ndarray, loose: float) -> tuple[np.ndarray, np.ndarray]:
+def _eigenvalues(matrix: np.ndarray, error: float) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues in falling modulus, and how far an error of the matrix moves them."""
     if not matrix.shape[0]:
         return np.zeros(0, complex), np.zeros(0)
@@ -100,7 +116,7 @@ def _eigenvalues(matrix: np.ndarray, loose: float) -> tuple[np.ndarray, np.ndarr
         condition = np.linalg.norm(left, axis=1) * np.linalg.norm(right, axis=0)
     except np.linalg.LinAlgError:
         condition = np.full(values.size, np.inf)
-    error = loose * 1e-2 * np.linalg.norm(matrix, 2)
-    moved = np.minimum(condition * error, np.sqrt(error * (1.0 + error)))
+    size = float(np.linalg.norm(matrix, 2))
+    moved = np.minimum(condition * error, np.sqrt(size * error))
     order = np.argsort(-np.abs(values), kind="stable")
     return values[order].astype(complex), moved[order]

@@ -6,7 +6,7 @@ beyond that is what stability is about.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +26,7 @@ FLOW = "flow"
 # do not count
 _DEPENDENT = {8: 1e-7, 4: 1e-3}
 
+_Along: TypeAlias = Callable[[State], Array]
 Integral: TypeAlias = Callable[[Scene, Array, State], Array]
 _INTEGRALS: dict[str, Integral] = {
     "energy": observables.energy,
@@ -41,12 +42,15 @@ class Neutral(NamedTuple):
         directions: Changes of the coordinates, one row for each name, shape (r, n).
         integrals: Names of the integrals.
         slopes: Their derivatives by the coordinates, shape (s, n).
+        flow: Rates of the coordinates, whether they are among the directions or not,
+            shape (n,); None: the scene depends on time.
     """
 
     names: tuple[str, ...]
     directions: np.ndarray
     integrals: tuple[str, ...]
     slopes: np.ndarray
+    flow: np.ndarray | None
 
     @property
     def all_names(self) -> tuple[str, ...]:
@@ -77,6 +81,7 @@ def neutral(around: IndependentCoordinates, group: Symmetries) -> Neutral:
         np.asarray(rows, float)[kept],
         tuple(integrals[k] for k in steep),
         slope[steep],
+        np.asarray(rows, float)[-1] if autonomous else None,
     )
 
 
@@ -87,13 +92,12 @@ def _rows(
     scene, t = around.scene, around.time
     rest = jnp.zeros(around.count, t.dtype)
     state = around.state(rest)
-    rows = [around.velocity(rest, group[name](state, t)) for name in group.names]
+    tangents: list[State] = [group[name](state, t) for name in group.names]
     if autonomous:  # last: of a steady motion it depends on the symmetries
         difference: Callable[[Array, Array], Array] = lambda a, b: a - b
         carrying = group.carrying(state, t)
         rates = rolling_derivative(scene, t, state)
-        own: Any = jax.tree.map(difference, rates, carrying)
-        rows.append(around.velocity(rest, own))
+        tangents.append(jax.tree.map(difference, rates, carrying))
     slopes = jnp.zeros((0, around.count), t.dtype)
     if kind:
 
@@ -101,8 +105,14 @@ def _rows(
             return _INTEGRALS[kind](scene, t, around.state(x))
 
         slopes = cast(Array, jax.jacfwd(kept)(rest))[None]
-    stacked = jnp.stack(rows) if rows else jnp.zeros((0, around.count), t.dtype)
-    return stacked, slopes
+    rows = jnp.zeros((0, around.count), t.dtype)
+    if tangents:
+        along = cast(_Along, jax.linearize(around.image, state)[1])
+        images = jnp.stack([along(one) for one in tangents], axis=1)
+        # by one QR for all; the coordinates are the image's least squares
+        q, upper = cast(tuple[Array, Array], jnp.linalg.qr(around.basis()))
+        rows = cast(Array, jnp.linalg.solve(upper, q.T @ images)).T
+    return rows, slopes
 
 
 def independent_rows(rows: np.ndarray, loose: float) -> list[int]:

@@ -1,8 +1,9 @@
 """Normal modes: periodic motions that begin as small vibrations about a rest."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,8 +16,12 @@ from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, real, whole
 from .closing_newton import scales
 from .independent_coordinates import IndependentCoordinates, independent_coordinates
+from .neutral import neutral
 from .periodic import PeriodicMotion, periodic_motion
+from .periodic_family import periodic_family
+from .shooting import measured
 from .surface_motions import echelon
+from .symmetries import symmetries
 
 _FIELD = "normal_mode_motion"
 AMPLITUDE = "amplitude"
@@ -24,7 +29,8 @@ AMPLITUDE = "amplitude"
 _LOOSE = 1e-6
 # Rates of a rest over those that gravity would make in the time of a vibration.
 _RESTS = 1e-8
-_HALVINGS = 8
+# Where vibrations begin [rad] or [m].
+_LINEAR = 0.01
 _Complex: TypeAlias = np.ndarray[Any, np.dtype[np.complex128]]
 _Pair: TypeAlias = tuple[_Complex, _Complex]
 
@@ -46,11 +52,17 @@ class NormalModes(NamedTuple):
     around: IndependentCoordinates
 
 
-class Amplitude(NamedTuple):
-    """How far a state is along a mode's shape [the unit of its largest coordinate]."""
+class Amplitude(eqx.Module):
+    """How far a state is along a mode's shape [the unit of its largest coordinate].
+
+    Changes along the symmetries at the rest do not count.
+    """
 
     around: IndependentCoordinates
     row: Float[Array, " n"]
+
+    # symmetries leave it as it is near the rest only
+    is_local: ClassVar[bool] = True
 
     def __call__(self, scene: Scene, t: Array, state: State) -> Array:
         """Its value."""
@@ -180,28 +192,47 @@ def normal_mode_motion(
         remedy = "give a number that is not 0"
         raise FieldError(f"{_FIELD}.amplitude", 0.0, "is that of the rest", remedy)
     shape = modes.shapes[mode]
-    row = jnp.asarray(shape / (shape @ shape))
-    along = Amplitude(modes.around, row)
-    period = 2.0 * np.pi / modes.frequencies[mode]
+    period = float(2.0 * np.pi / modes.frequencies[mode])
+    along = Amplitude(modes.around, jnp.asarray(_row(modes, shape, period)))
     options: dict[str, Any] = {"segments": segments, "rtol": rtol, "method": method}
-    refusal = None
-    # by halves, from where the vibration is nearly linear, if it is not reached at once
-    for halvings in range(_HALVINGS):
-        near = period
-        found: PeriodicMotion | None = None
-        try:
-            for k in range(halvings, -1, -1):
-                guess = _moved(modes.around, jnp.asarray(far * 0.5**k * shape))
-                asked = {**(hold or {}), AMPLITUDE: (along, None)}
-                found = periodic_motion(scene, guess, near, hold=asked, **options)
-                near = found.period
-        except FieldError as error:
-            refusal = refusal or error
-            continue
-        assert found is not None
+    # from where the vibration is nearly linear the family leads to the amplitude: a
+    # guess far off may be near another motion
+    near = far if abs(far) <= _LINEAR else float(np.copysign(_LINEAR, far))
+    guess = _moved(modes.around, jnp.asarray(near * shape))
+    asked = {**(hold or {}), AMPLITUDE: (along, None)}
+    found = periodic_motion(scene, guess, period, hold=asked, **options)
+    if near == far:
         return found
-    assert refusal is not None
-    raise refusal
+    end = _moved(modes.around, jnp.asarray(far * shape))
+    aim = float(measured(along, scene, modes.around.time, end)[0])
+    span = sorted((found.measure(AMPLITUDE), aim))
+    family = periodic_family(
+        scene, found, AMPLITUDE, (span[0], span[1]), hold=hold, points=10
+    )
+    place = 0 if aim < 0.0 else -1
+    if family.ends[place] != "span":
+        reached = family.points[place].measure(AMPLITUDE)
+        problem = (
+            f"is not reached: at {reached:.6g} the family ends ({family.ends[place]})"
+        )
+        remedy = "give a smaller one, or follow the family with periodic_family"
+        raise FieldError(f"{_FIELD}.amplitude", far, problem, remedy)
+    return family.points[place]
+
+
+def _row(modes: NormalModes, shape: np.ndarray, period: float) -> np.ndarray:
+    """One for the shape, zero along the symmetries at the rest, shape (n,)."""
+    around = modes.around
+    size = scales(around, period)
+    known = neutral(around, symmetries(around.scene)).directions / size
+    own = shape / size
+    for direction in _orthonormal(known):
+        own = own - direction * (direction @ own)
+    return own / size / (own @ own)
+
+
+def _orthonormal(rows: np.ndarray) -> np.ndarray:
+    return np.linalg.qr(rows.T)[0].T
 
 
 @for_one_call

@@ -16,8 +16,7 @@ from ..validation.checks import FieldError, is_traced, positive, real, whole
 from .closing_newton import PERIOD, Held, Solved, coordinates_of, scales, solve
 from .floquet import Floquet, floquet
 from .independent_coordinates import independent_coordinates
-from .neutral import FLOW
-from .periodic_holds import held_of
+from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
 from .shooting import Nodes, Shooting, again, closing, measured, offset, segment
 from .symmetries import Symmetries, symmetries
@@ -28,6 +27,10 @@ _FIELD = "periodic_motion"
 _RTOL = 1e-12
 # A run's error over its tolerance, at most, in what counts as closed.
 _ERRORS = 1e4
+# A motion that goes less far in a period, in changes of like size, is a steady one.
+_STEADY = 1e-7
+# Error of a monodromy, over its size, with which no multiplier would be told.
+_WRONG = 1e-4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,7 +82,7 @@ class PeriodicMotion:
         Spectral stability: to first order, modulo flow, symmetries and family.
         """
         outside = np.abs(self.multipliers) - 1.0
-        return bool(np.all(outside <= 1e-7 + 4.0 * self.uncertain))
+        return bool(np.all(outside <= 2.0 * self.uncertain))
 
     @property
     def volume_ratio(self) -> float:
@@ -188,6 +191,7 @@ def periodic_motion(
     period = float(positive(f"{_FIELD}.period", period, (), "a time [s]"))
     segments = whole(f"{_FIELD}.segments", segments, 1, "give 1 or more")
     held = held_of(shot, start, period, hold or {})
+    check_invariant(shot, start, held)
     if shot.driven:
         _check_repeats(shot, start, period)
         held = (*(h for h in held if h.name != PERIOD), Held(PERIOD, period))
@@ -222,7 +226,9 @@ def motion_of(shot: Shooting, found: Solved, held: tuple[Held, ...]) -> Periodic
         FieldError: it is a steady motion.
     """
     nodes, linear = found.nodes, found.linear
-    if not shot.driven and FLOW not in linear.around.names:
+    flow = linear.own_flow
+    moves = np.inf if flow is None else float(np.linalg.norm(flow)) * nodes.period
+    if moves < _STEADY:
         problem = "leads to a steady motion, which repeats after any time"
         remedy = "give a guess farther from it, or hold an energy that it does not have"
         raise FieldError(f"{_FIELD}.guess", "...", problem, remedy)
@@ -231,6 +237,13 @@ def motion_of(shot: Shooting, found: Solved, held: tuple[Held, ...]) -> Periodic
         product = np.asarray(one.by_start) @ product
     monodromy = np.linalg.solve(np.asarray(linear.closed.by_start), product)
     split = _split(shot, nodes, monodromy, found)
+    if not split.error < _WRONG:
+        problem = (
+            f"leads to a motion whose flow or energy does not come back, by "
+            f"{split.error:.2g} of the largest multiplier, though its state does"
+        )
+        remedy = "give more segments, a smaller rtol, or another guess"
+        raise FieldError(f"{_FIELD}.guess", "...", problem, remedy)
     names = shot.group.names
     group = {name: float(x) for name, x in zip(names, nodes.steps, strict=True)}
     return PeriodicMotion(

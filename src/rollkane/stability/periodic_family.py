@@ -18,7 +18,6 @@ from .closing_newton import (
     solve,
     stepped_nodes,
 )
-from .neutral import FLOW
 from .periodic import PeriodicMotion, closeness, motion_of
 from .periodic_holds import held_of
 from .shooting import Nodes, Shooting, offset
@@ -262,21 +261,10 @@ def _walk(
 
 def _turned_back(here: _Here, there: _Here) -> bool:
     """Whether a steady motion lies between: the flow has changed its sign."""
-    flows = [_own_flow(one.linear) for one in (here, there)]
+    flows = [one.linear.own_flow for one in (here, there)]
     if flows[0] is None or flows[1] is None:
         return False
     return bool(flows[0] @ flows[1] <= 0.0)
-
-
-def _own_flow(linear: Linear) -> np.ndarray | None:
-    """The flow without what symmetries do, in changes of like size."""
-    known = linear.around
-    if FLOW not in known.names:
-        return None
-    rows = known.directions / linear.sizes[: known.directions.shape[1]]
-    place = known.names.index(FLOW)
-    others = np.linalg.qr(np.delete(rows, place, axis=0).T)[0]
-    return rows[place] - others @ (others.T @ rows[place])
 
 
 def _next(course: _Course, here: _Here, far: float) -> _Here | None:

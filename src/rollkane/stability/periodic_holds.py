@@ -11,7 +11,8 @@ from ..dynamics.scene import Scene
 from ..identification import paths
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, real
-from .closing_newton import PERIOD, Held
+from .closing_newton import PERIOD, Held, coordinates_of, scales
+from .neutral import FLOW, neutral
 from .quantities import NAMED
 from .shooting import Shooting, measured
 
@@ -43,6 +44,32 @@ def held_of(
             raise FieldError(field, value, "must be positive", "give a time [s]")
         found.append(one._replace(value=value))
     return tuple(found)
+
+
+def check_invariant(shot: Shooting, start: State, held: tuple[Held, ...]) -> None:
+    """Refuse to hold what a symmetry does not leave as it is.
+
+    Raises:
+        FieldError: with the symmetry's name.
+    """
+    around = coordinates_of(shot, start)
+    size = scales(around, 2.0 * np.pi)
+    known = neutral(around, shot.group)
+    for one in held:
+        if one.quantity is None or getattr(one.quantity, "is_local", False):
+            continue
+        slope = np.asarray(measured(one.quantity, shot.scene, around.time, start)[1])
+        steep = slope * size
+        for name, direction in zip(known.names, known.directions / size, strict=True):
+            change = abs(float(steep @ direction))
+            least = 1e-8 * np.linalg.norm(steep) * np.linalg.norm(direction)
+            if name != FLOW and change > least:
+                problem = (
+                    f"is changed by the symmetry {name!r}: no motion has one of it"
+                )
+                remedy = "hold what no symmetry changes, such as the energy"
+                field = f"{FIELD}.hold[{one.name!r}]"
+                raise FieldError(field, one.value, problem, remedy)
 
 
 def _quantity(

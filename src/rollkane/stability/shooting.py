@@ -72,6 +72,9 @@ class Segment(NamedTuple):
 
     Attributes:
         miss: Where its end is, shape (n,).
+        beside: What these coordinates, which are those of a linear projection, do not
+            tell of where it is: of second order near the target, and not zero at other
+            states that they cannot tell from it.
         by_start: Derivative by the coordinates around its start, shape (n, n).
         by_time: Rate of its end [1/s], shape (n,); less what time carries along.
         end: Its end, as at the time of the target.
@@ -79,6 +82,7 @@ class Segment(NamedTuple):
     """
 
     miss: Float[Array, " n"]
+    beside: Float[Array, ""]
     by_start: Float[Array, "n n"]
     by_time: Float[Array, " n"]
     end: State
@@ -149,7 +153,9 @@ def _shot(
     miss, rate = cast(
         tuple[Array, Array], jax.jvp(around.coordinates, (end,), (rates,))
     )
-    return Segment(miss, moved.changes, rate, end, moved.code)
+    short = around.image(end) - around.image(around.reference)
+    beside = jnp.max(jnp.abs(short - around.basis() @ miss))
+    return Segment(miss, beside, moved.changes, rate, end, moved.code)
 
 
 _segment = around_a_loop(
