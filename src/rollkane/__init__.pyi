@@ -92,6 +92,8 @@ from .simulation.trajectory import Trajectory as Trajectory
 from .stability.branch import Branch as Branch
 from .stability.families import steady_family as steady_family
 from .stability.families import switch_branch as switch_branch
+from .stability.linear_model import LinearModel as LinearModel
+from .stability.linear_model import linearize as linearize
 from .stability.lyapunov import LyapunovSpectrum as LyapunovSpectrum
 from .stability.lyapunov import lyapunov_exponents as lyapunov_exponents
 from .stability.normal_modes import NormalModes as NormalModes

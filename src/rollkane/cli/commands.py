@@ -17,6 +17,7 @@ from .. import __version__
 from .fit_command import fit
 from .output_files import check_targets, telling_of_files, write
 from .preparation import STOPPED_EARLY, Positive, loaded, start_jax
+from .steady_commands import family, steady
 
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0
@@ -28,7 +29,8 @@ def main() -> None:
     """Exact dynamics of a rigid body that rolls without slipping."""
 
 
-main.add_command(fit)
+for _command in (fit, steady, family):
+    main.add_command(_command)
 
 
 @main.command()

@@ -7,12 +7,19 @@ import numpy as np
 
 from ..files.atomic_file import write_whole
 from ..stability.branch import Branch
-from ..validation.checks import FieldError
 from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_UNITS = {
+    "speed": "m/s",
+    "tilt": "rad",
+    "spin": "rad/s",
+    "energy": "J",
+    "growth": "1/s",
+    "normal force": "N",
+}
 _MARKS = {"fold": "s", "zero crossing": "o", "Hopf": "D", "collision": "^"}
 
 
@@ -27,7 +34,8 @@ def plot_family(
     Args:
         branches: Of the same family: one, or those that meet at bifurcations.
         path: File to write.
-        show: Held quantity, group velocity or "growth" [1/s]; None: the growth.
+        show: A quantity by its name, as of ``Branch.along``, or "growth" [1/s]; None:
+            the growth.
         title: Above the picture.
 
     Raises:
@@ -43,24 +51,22 @@ def plot_family(
         _draw(panel, branch, y)
         _mark(panel, branch, y)
     panel.set_ylim(*limits(np.concatenate(heights), 0.08, 1e-9))
-    panel.set_xlabel(drawn[0].vary.removeprefix("hold."))
-    panel.set_ylabel("growth [1/s]" if name == "growth" else name)
+    panel.set_xlabel(_with_unit(drawn[0].vary.removeprefix("hold.")))
+    panel.set_ylabel(_with_unit(name))
     panel.set_title(title, fontsize=10, color=INK)
     panel.legend(fontsize=8, frameon=False)
     write_whole(path, png(figure))
+
+
+def _with_unit(name: str) -> str:
+    return f"{name} [{_UNITS[name]}]" if name in _UNITS else name
 
 
 def _heights(branch: Branch, name: str) -> np.ndarray:
     if name == "growth":
         rows = [np.max(np.real(p.eigenvalues), initial=0.0) for p in branch.points]
         return np.array(rows)
-    try:
-        return branch.along(name)
-    except KeyError:
-        first = branch.points[0]
-        known = ", ".join(["growth", *first.held, *first.generator])
-        problem = "is nothing that the branch knows"
-        raise FieldError("plot.show", name, problem, f"show one of: {known}") from None
+    return branch.along(name)
 
 
 def _draw(panel: "Axes", branch: Branch, y: np.ndarray) -> None:

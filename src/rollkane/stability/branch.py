@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
+from .local_model import values_along
 from .newton import Asked, Point
+from .quantities import quantity
 from .spectrum import Spectrum
 
 
@@ -85,12 +87,27 @@ class Branch:
         return np.array([point.stable for point in self.points])
 
     def along(self, name: str) -> Float[np.ndarray, " P"]:
-        """A held quantity or a group velocity at every point, shape (P,).
+        """A quantity at every point: held, a group velocity, or any other, shape (P,).
 
         Raises:
-            KeyError: neither has the name.
+            FieldError: nothing has the name.
         """
-        return np.array([(p.held | p.generator)[name] for p in self.points])
+        first = self.points[0]
+        if name in first.held or name in first.generator:
+            return np.array([(p.held | p.generator)[name] for p in self.points])
+        one = quantity("Branch.along", self.asked.problem, first.state, name)
+        states = [p.state for p in self.points]
+        velocities = np.array([p.solution.xi for p in self.points])
+        return np.array(
+            values_along(
+                self.asked.problem,
+                self.asked.keys,
+                one,
+                states,
+                velocities,
+                self.values,
+            )
+        )
 
     def plot(self, path: str | PathLike[str], show: str | None = None) -> None:
         """Write the diagram as a PNG (extra ``plot``).

@@ -75,7 +75,7 @@ def made(
     asked: Asked,
     found: Point,
     before: np.ndarray | None,
-    dimensions: int | None = None,
+    dimensions: tuple[int, ...] | None = None,
 ) -> BranchPoint:
     """A point of a branch, with a tangent that goes on as before."""
     told_ = spectrum_at(asked, found, dimensions)
@@ -127,7 +127,7 @@ def walked(
     span: tuple[float, float],
     points: int,
     most: int,
-    dimensions: int,
+    dimensions: tuple[int, ...],
 ) -> Walk:
     """From a start along its tangent, to an end of the span or of the branch.
 
@@ -137,7 +137,7 @@ def walked(
         span: Of the parameter.
         points: How many steps the span is wide, at least.
         most: How many points there may be.
-        dimensions: Of the family that leaves zeros among the eigenvalues.
+        dimensions: Counts of the family that leaves zeros among the eigenvalues.
     """
     low, high = span
     longest = (high - low) / asked.unit / points

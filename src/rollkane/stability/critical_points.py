@@ -15,13 +15,15 @@ _TRIES = 40
 _Test: TypeAlias = Callable[[BranchPoint], float]
 
 
-def critical_on(asked: Asked, segment: Segment, dimensions: int) -> list[Critical]:
+def critical_on(
+    asked: Asked, segment: Segment, dimensions: tuple[int, ...]
+) -> list[Critical]:
     """What is critical between two neighbouring points of a branch.
 
     Args:
         asked: What is solved.
         segment: Of the branch.
-        dimensions: Of the family that leaves zeros among the eigenvalues.
+        dimensions: Counts of the family that leaves zeros among the eigenvalues.
     """
     first, last = segment.first, segment.last
     tests: list[tuple[str, _Test]] = []
@@ -71,7 +73,7 @@ def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
 
 
 def _located(
-    asked: Asked, segment: Segment, test: _Test, dimensions: int
+    asked: Asked, segment: Segment, test: _Test, dimensions: tuple[int, ...]
 ) -> BranchPoint:
     """The root of a test on a segment, by the Illinois method."""
     first, last = segment.first, segment.last

@@ -48,7 +48,7 @@ def steady_family(
         FieldError: a name that nothing has, a motion outside of the span, more or
             less left free than one dimension.
 
-    Source: docs/theory.md, (9.7) to (9.9).
+    Source: docs/theory.md, (10.2) to (10.5).
     """
     if not isinstance(cast(object, motion), SteadyMotion):
         remedy = "give what steady_motion returns"
@@ -77,8 +77,8 @@ def switch_branch(
     Args:
         branch: Where the bifurcation was found.
         critical: One of its zero crossings, or a fold.
-        points: As for ``steady_family``.
-        max_points: As for ``steady_family``.
+        points: How many steps the span is wide, at least [1].
+        max_points: Most points each way [1].
 
     Raises:
         FieldError: no other branch leaves there.
@@ -124,7 +124,7 @@ def _both_ways(
     plan: _Plan, ahead: BranchPoint, back: BranchPoint, middle: list[BranchPoint]
 ) -> Branch:
     """A branch from both of its starts outwards, and what lies between them."""
-    dimensions = ahead.told.family.shape[1]
+    dimensions = ahead.told.counts
     how = plan.span, plan.points, plan.most, dimensions
     forward = walked(plan.asked, ahead, *how)
     backward = walked(plan.asked, back, *how)

@@ -1,12 +1,13 @@
 """Lie algebras that act on the states of a scene: tangents, and their exact flows."""
 
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -41,11 +42,13 @@ class Action(eqx.Module):
     on_body: Float[Array, "K m m"]
     shift: Float[Array, "K n"]
 
-    def combined(self, weights: Float[Array, "J K"]) -> "Action":
-        """Linear combinations, one for each row of weights."""
+    def combined(self, weights: Any) -> "Action":
+        """Linear combinations, one for each row of weights; by NumPy where known."""
 
-        def summed(part: Array) -> Array:
-            return jnp.tensordot(weights, part, 1)
+        def summed(part: Any) -> Any:
+            known = type(part) is np.ndarray and type(weights) is np.ndarray
+            library: Any = np if known else jnp
+            return library.tensordot(weights.astype(part.dtype), part, 1)
 
         return jax.tree.map(summed, self)
 

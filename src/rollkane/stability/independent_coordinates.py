@@ -6,7 +6,7 @@ reference state these are exact coordinates of what is left: n of positions and 
 velocities.
 """
 
-from typing import cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -156,7 +156,7 @@ class IndependentCoordinates(eqx.Module):
         zero at the reference, with the identity as its derivative there.
         """
         offset = self.image(state) - self.image(self.reference)
-        return _least_squares(self.basis(), offset)
+        return least_squares(self.basis(), offset)
 
     def velocity(self, x: Float[Array, " n"], rates: State) -> Float[Array, " n"]:
         """Rates of the coordinates from those of the state at x.
@@ -167,7 +167,7 @@ class IndependentCoordinates(eqx.Module):
                 less those with which it carries the state along.
         """
         _, moved = jax.jvp(self.image, (self.state(x),), (rates,))
-        return _least_squares(self.basis(x), moved)
+        return least_squares(self.basis(x), moved)
 
 
 def independent_coordinates(
@@ -184,17 +184,28 @@ def independent_coordinates(
         FieldError: a state of another kind, or one where the coordinates are not
             independent: the end of a surface, the pole of a chart.
     """
-    if type(state) not in (State, SlidingState):
-        remedy = "give a State or a SlidingState (rollkane.place makes both)"
-        raise FieldError("state", type(state).__name__, "is of another kind", remedy)
+    refuse_kind(scene, state)
     t = jnp.asarray(time, state.orientation.dtype)
     made = IndependentCoordinates(scene, t, cast(State, consistent(scene, t, state)))
-    found = rank(np.asarray(_basis(made)))
-    if found < made.count:
-        problem = f"has {found} independent coordinates instead of {made.count}"
-        remedy = "move the contact off the end of the surface or the pole of its chart"
-        raise FieldError("state", state.contact_on_base, problem, remedy)
+    refuse_rank(np.asarray(_basis(made)))
     return made
+
+
+def refuse_kind(scene: Scene, state: Any) -> None:
+    """Refuse a state that is in flight, in charts, or of another contact law."""
+    wanted = SlidingState if scene.contact.slips else State
+    if type(state) is not wanted:
+        remedy = f"give a {wanted.__name__}, as rollkane.place makes it"
+        raise FieldError("state", type(state).__name__, "is of another kind", remedy)
+
+
+def refuse_rank(basis: np.ndarray) -> None:
+    """Refuse a state where the coordinates are not independent."""
+    found = rank(basis)
+    if found < basis.shape[1]:
+        problem = f"has fewer independent coordinates than {basis.shape[1]}"
+        remedy = "move the contact off the end of the surface or the pole of its chart"
+        raise FieldError("state", f"one of rank {found}", problem, remedy)
 
 
 @eqx.filter_jit
@@ -238,7 +249,7 @@ def _place(surface: AbstractSurface, u: Float[Array, " k"]) -> list[Array]:
     return [geometry.position, geometry.normal]
 
 
-def _least_squares(
+def least_squares(
     columns: Float[Array, "m n"], target: Float[Array, " m"]
 ) -> Float[Array, " n"]:
     """By the normal equations of columns of unit length, far from singular."""

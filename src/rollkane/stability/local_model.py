@@ -3,7 +3,7 @@
 One compiled program gives all that Newton's method, continuation and eigenvalues need.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -139,6 +139,34 @@ def _held(
         "held_by_parameter": slopes[:, n],
         "held_by_group": slopes[:, n + 1 :],
     }
+
+
+@for_one_call
+def _values(
+    problem: AbstractProblem,
+    keys: paths.Keys | None,
+    one: Quantity,
+    states: Any,
+    xis: Float[Array, "P K"],
+    ps: Float[Array, " P"],
+) -> Float[Array, " P"]:
+    def at(state: Any, xi: Array, p: Array) -> Array:
+        return one(with_parameter(problem, keys, p), state, xi)
+
+    return jax.vmap(at)(states, xis, ps)
+
+
+def values_along(
+    problem: AbstractProblem,
+    keys: paths.Keys | None,
+    one: Quantity,
+    states: Sequence[Any],
+    xis: np.ndarray,
+    ps: np.ndarray,
+) -> np.ndarray:
+    """A quantity at many points, shape (P,): see ``local_model``."""
+    stacked = jax.tree.map(lambda *x: np.stack([np.asarray(y) for y in x]), *states)
+    return np.asarray(_values(problem, keys, one, stacked, xis, ps))
 
 
 def local_model(

@@ -6,7 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from .local_model import LocalModel
-from .newton import SMALL, Directions
+from .newton import Directions
+
+# Of the norm of a linear model: what is less is zero. Solved to rounding, a model of
+# some 1e3 operations is known to 1e-13 of it.
+_ZERO = 1e-11
 
 
 class Spectrum(NamedTuple):
@@ -23,6 +27,8 @@ class Spectrum(NamedTuple):
             the family.
         family: Directions of the family, orthogonal to the group's, shape (n, d).
         determinant: Product of the eigenvalues.
+        counts: Dimensions of the family, then of steady drifts along it, and so on to
+            zero.
     """
 
     eigenvalues: np.ndarray
@@ -31,6 +37,7 @@ class Spectrum(NamedTuple):
     zeros: dict[str, complex]
     family: np.ndarray
     determinant: float
+    counts: tuple[int, ...]
 
     @property
     def unstable(self) -> int:
@@ -44,7 +51,7 @@ def spectrum(
     group: Directions,
     names: Sequence[str],
     labels: Sequence[tuple[str, np.ndarray]],
-    dimensions: int | None = None,
+    dimensions: tuple[int, ...] | None = None,
 ) -> Spectrum:
     """Eigenvalues of the linear model around a steady motion.
 
@@ -54,31 +61,54 @@ def spectrum(
         group: Directions of the group.
         names: Of the generators.
         labels: Quantities by which a family is told: names and derivatives by x.
-        dimensions: Of the family, where they are known; None: by rank.
+        dimensions: The counts, where they are known; None: by rank.
 
-    Source: docs/theory.md, (9.8): the group's directions S and the family's N are
+    Source: docs/theory.md, (10.4): the group's directions S and the family's N are
     invariant, ``A S`` in S and ``A N`` in S + N, so that A acts on what is left.
     """
     A = local.slope / size[:, None] * size[None]
     n = size.size
     S = np.linalg.qr(group.moved / size[:, None])[0]
-    Q = _complement(S)
-    inner = Q.T @ A @ Q
-    N = _null(inner, dimensions)
-    rest = _complement(N)
-    left = rest.T @ inner @ rest
+    norm = float(np.linalg.norm(A))
+    left, Q, family, slow, counts = _deflated(A, _complement(S), norm, dimensions)
     values, vectors = _eigen(left)
-    errors = _errors(left, values, vectors, float(np.linalg.norm(A)))
-    modes = size[:, None] * (Q @ rest @ vectors)
+    errors = _errors(left, values, vectors, norm)
+    modes = size[:, None] * (Q @ vectors)
     modes = modes / np.maximum(np.linalg.norm(modes, axis=0), 1e-300)
-    family = size[:, None] * (Q @ N)
+    family, first = size[:, None] * family, counts[0]
     zeros = _of_group(local, S, A, size, names)
-    slow, _ = _eigen(N.T @ inner @ N)
-    told = _labelled(family, labels)
-    zeros |= {f"family: {name}": complex(v) for name, v in zip(told, slow, strict=True)}
+    told = [f"family: {name}" for name in _labelled(family[:, :first], labels)]
+    told += [f"drift {k + 1} along the family" for k in range(family.shape[1] - first)]
+    zeros |= {name: complex(v) for name, v in zip(told, slow, strict=True)}
     assert len(zeros) + values.size == n
     product = float(np.linalg.det(left))
-    return Spectrum(values, modes, errors, zeros, family, product)
+    own = family[:, :first]
+    return Spectrum(values, modes, errors, zeros, own, product, counts)
+
+
+def _deflated(
+    A: np.ndarray,
+    basis: np.ndarray,
+    norm: float,
+    dimensions: tuple[int, ...] | None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+    """What a matrix is on a basis, without what it takes to zero, again and again.
+
+    Returns:
+        The matrix that is left and its basis; the directions that went and their
+        eigenvalues, as computed; how many went each time, to none.
+    """
+    inner: np.ndarray = basis.T @ A @ basis
+    gone, slow, counts = basis[:, :0], np.zeros(0, complex), (0,) * 0
+    while not counts or counts[-1]:
+        known = None if dimensions is None else dimensions[len(counts)]
+        N = _null(inner, norm, known)
+        counts = (*counts, N.shape[1])
+        gone = np.concatenate([gone, basis @ N], axis=1)
+        slow = np.concatenate([slow, _eigen(N.T @ inner @ N)[0]])
+        rest = _complement(N)
+        basis, inner = basis @ rest, rest.T @ inner @ rest
+    return inner, basis, gone, slow, counts
 
 
 def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,14 +127,14 @@ def _complement(S: np.ndarray) -> np.ndarray:
     return np.linalg.qr(S, mode="complete")[0][:, r:] if r else np.eye(n)
 
 
-def _null(matrix: np.ndarray, dimensions: int | None) -> np.ndarray:
+def _null(matrix: np.ndarray, norm: float, dimensions: int | None) -> np.ndarray:
     """Orthonormal directions that a matrix leaves at zero, by rank or by number."""
     if not matrix.size:
         return np.zeros((matrix.shape[0], 0))
     _, values, across = np.linalg.svd(matrix)
     if dimensions is not None:
         return across[values.size - dimensions :].T
-    return across[values <= SMALL * max(float(values[0]), 1e-300)].T
+    return across[values <= _ZERO * norm].T
 
 
 def _errors(

@@ -11,7 +11,7 @@ from jaxtyping import Complex, Float
 from ..dynamics.scene import Scene
 from ..kane.system import KaneSystem
 from ..validation.checks import FieldError, is_traced
-from .independent_coordinates import independent_coordinates
+from .independent_coordinates import refuse_kind, refuse_rank
 from .kane_problem import kane_problem
 from .newton import (
     Asked,
@@ -74,8 +74,10 @@ class SteadyMotion:
 
     @property
     def growth(self) -> float:
-        """Largest rate of growth [1/s]."""
-        return float(np.max(np.real(self.eigenvalues), initial=-np.inf))
+        """Largest rate of growth [1/s]; zero where nothing is left to decide."""
+        if not self.eigenvalues.size:
+            return 0.0
+        return float(np.max(np.real(self.eigenvalues)))
 
     def at(self, time: Any) -> Any:
         """The state at another time [s], exactly: moved by the group, with the base."""
@@ -124,7 +126,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
         FieldError: a scene that depends on time, no steady motion near the guess, more
             held than is free, what a symmetry does not leave fixed.
 
-    Source: docs/theory.md, (9.7), (9.8).
+    Source: docs/theory.md, (10.2) to (10.4).
     """
     problem, state = problem_of(scene, guess)
     quantities, values = held_quantities("steady_motion.hold", problem, state, hold)
@@ -133,6 +135,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     asked = asked._replace(names=names, fast=fast)
     start = np.zeros(len(problem.group))
     first = solved(asked, state, start, 0.0, tries=0).point
+    refuse_rank(first.local.basis)
     given = zip(values, first.local.held, strict=True)
     wanted = [float(own) if v is None else v for v, own in given]
     asked = asked._replace(values=np.array(wanted, float))
@@ -162,8 +165,8 @@ def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
         problem = "is in single precision, in which no rank can be told"
         remedy = 'call jax.config.update("jax_enable_x64", True) first'
         raise FieldError("steady_motion.guess", "float32", problem, remedy)
-    around = independent_coordinates(scene, guess)
-    return rolling_problem(scene, symmetries(scene)), around.reference
+    refuse_kind(scene, guess)
+    return rolling_problem(scene, symmetries(scene)), guess
 
 
 def guessed_velocities(asked: Asked, point: Point) -> np.ndarray:
@@ -203,7 +206,9 @@ def motion_of(asked: Asked, found: Solved) -> SteadyMotion:
     )
 
 
-def spectrum_at(asked: Asked, point: Point, dimensions: int | None = None) -> Spectrum:
+def spectrum_at(
+    asked: Asked, point: Point, dimensions: tuple[int, ...] | None = None
+) -> Spectrum:
     """Eigenvalues at a solution; of a family of known dimensions, or by rank."""
     local, size = point.local, sizes_of(asked, point)
     group = directions(local, size)

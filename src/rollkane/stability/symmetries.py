@@ -42,7 +42,7 @@ class Symmetries(eqx.Module):
     scene: Scene
     action: Action
     drift: Action | None
-    twists: Float[Array, "K 6"]
+    twists: Float[Array | np.ndarray, "K 6"]
 
     def __len__(self) -> int:
         """How many."""
@@ -181,9 +181,9 @@ def _symmetries(scene: Scene) -> Symmetries:
     return Symmetries(
         tuple(_combination(row, labels) for row in rows),
         scene,
-        action.combined(jnp.asarray(rows, dtype)),
-        None if drift is None else action.combined(jnp.asarray(drift[None], dtype)),
-        jnp.asarray(rows[:, : counts[0]] @ base.twists, dtype),
+        action.combined(rows),
+        None if drift is None else action.combined(drift[None]),
+        np.asarray(rows[:, : counts[0]] @ base.twists, dtype),
     )
 
 
@@ -205,11 +205,11 @@ def _candidates(
         "on_body": (slice(first, second), body_maps),
         "shift": (slice(second, total), np.eye(counts[2])),
     }
-    made: dict[str, Array] = {}
+    made: dict[str, Any] = {}
     for name, (rows, values) in parts.items():
         whole = np.zeros((total, *values.shape[1:]), dtype)
         whole[rows] = values
-        made[name] = jnp.asarray(whole)
+        made[name] = whole
     return Action(**made)
 
 
@@ -261,7 +261,8 @@ def _combination(row: np.ndarray, labels: list[str]) -> str:
     text = ""
     for weight, label in zip(row, labels, strict=True):
         if weight:
-            size = "" if abs(weight) == 1.0 else f"{abs(weight):.6g} "
+            told = f"{abs(weight):.6g} "
+            size = "" if told == "1 " else told
             sign = " - " if weight < 0.0 else " + "
             text += (sign if text or weight < 0.0 else "") + size + label
     return text.strip()
