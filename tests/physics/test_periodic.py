@@ -281,12 +281,13 @@ def test_expected_multipliers_are_split_off_jordan_blocks():
 def test_refusals(swing):
     rest = rk.place(BOWL, UPRIGHT, STILL, (0.0, 0.0, -R))
     high = rk.place(BOWL, UPRIGHT, STILL, (np.sin(0.5), 0.0, -np.cos(0.5)))
+    fast = rk.place(BOWL, UPRIGHT, (0.0, 1.0, 1.0), (0.0, 0.0, -R))
     for guess, period, keywords, said in (
         (rest, 2.0, {}, "guess: leads to a steady motion"),
         (high, -2.0, {}, "period: must be positive"),
         (high, 2.0, {"hold": {"colour": 1.0}}, "'colour'.: is not known.*'energy'"),
         (high, 2.0, {"hold": {"energy": "much"}}, "must be made of numbers"),
-        (high, 2.0, {"hold": {"tilt": None}}, "'tilt'.: is not left as it is"),
+        (fast, 2.0, {"hold": {"spin": None}}, "'spin'.: is not left as it is"),
         (high, 2.0, {"segments": 0}, "segments: must be a whole number"),
         (
             swing.state,

@@ -12,9 +12,9 @@ import numpy as np
 from .neutral import FLOW
 
 FAMILY = "family"
-# Of the monodromy's size: rounding, and how much more than the errors that what is
-# neutral shows may be in what is not.
-_ROUNDING, _MORE = 1e-13, 30.0
+# How much more than the errors that what is neutral shows, or than twice the tolerance,
+# may be in what is not: 5 times the largest seen in 60 swings of a ball in a bowl.
+_MORE, _TOLERANCES = 30.0, 2.0
 
 
 class Floquet(NamedTuple):
@@ -44,6 +44,7 @@ def floquet(
     directions: np.ndarray,
     integrals: tuple[str, ...],
     slopes: np.ndarray,
+    rtol: float = 5e-14,
 ) -> Floquet:
     """Split a monodromy matrix.
 
@@ -53,6 +54,7 @@ def floquet(
         directions: Shape (r, n), independent.
         integrals: Names of integrals.
         slopes: Rows that it leaves as they are, shape (s, n).
+        rtol: Relative tolerance of the runs that it comes from [1]; left out: rounding.
     """
     n = monodromy.shape[0]
     found = list(names)
@@ -65,7 +67,7 @@ def floquet(
         flow = directions[names.index(FLOW)]
         strays.append(_unit(monodromy @ flow - flow, flow)[None])
     seen = max(float(np.abs(part).max(initial=0.0)) for part in strays)
-    error = _MORE * max(seen / size, _ROUNDING)
+    error = _MORE * max(seen / size, _TOLERANCES * rtol)
     rest = outside.T @ monodromy @ outside
     rows = slopes @ outside
     least = np.linalg.norm(slopes, axis=1) * np.sqrt(error)

@@ -270,7 +270,8 @@ def _split(
     size = scales(coordinates_of(shot, nodes.states[0]), nodes.period)
     directions, slopes = around.directions / size, around.slopes * size
     like = monodromy * size[None] / size[:, None]
-    return floquet(like, around.names, directions, around.integrals, slopes)
+    rtol = closeness(shot) / _ERRORS
+    return floquet(like, around.names, directions, around.integrals, slopes, rtol)
 
 
 def _prepared(

@@ -64,9 +64,7 @@ def check_invariant(shot: Shooting, start: State, held: tuple[Held, ...]) -> Non
             change = abs(float(steep @ direction))
             least = 1e-8 * np.linalg.norm(steep) * np.linalg.norm(direction)
             if name != FLOW and change > least:
-                problem = (
-                    f"is changed by the symmetry {name!r}: no motion has one of it"
-                )
+                problem = f"is not left as it is by the symmetry {name!r}"
                 remedy = "hold what no symmetry changes, such as the energy"
                 field = f"{FIELD}.hold[{one.name!r}]"
                 raise FieldError(field, one.value, problem, remedy)
