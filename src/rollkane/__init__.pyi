@@ -96,6 +96,15 @@ from .stability.families import steady_family as steady_family
 from .stability.families import switch_branch as switch_branch
 from .stability.linear_model import LinearModel as LinearModel
 from .stability.linear_model import linearize as linearize
+from .stability.lyapunov import LyapunovSpectrum as LyapunovSpectrum
+from .stability.lyapunov import lyapunov_exponents as lyapunov_exponents
+from .stability.normal_modes import NormalModes as NormalModes
+from .stability.normal_modes import normal_mode_motion as normal_mode_motion
+from .stability.normal_modes import normal_modes as normal_modes
+from .stability.periodic import PeriodicMotion as PeriodicMotion
+from .stability.periodic import periodic_motion as periodic_motion
+from .stability.periodic_family import PeriodicFamily as PeriodicFamily
+from .stability.periodic_family import periodic_family as periodic_family
 from .stability.steady import SteadyMotion as SteadyMotion
 from .stability.steady import steady_motion as steady_motion
 from .stability.symmetries import Symmetries as Symmetries

@@ -13,6 +13,15 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "NormalModes",
+    "PeriodicFamily",
+    "PeriodicMotion",
+    "normal_mode_motion",
+    "normal_modes",
+    "periodic_family",
+    "periodic_motion",
+    "LyapunovSpectrum",
+    "lyapunov_exponents",
     "Branch",
     "LinearModel",
     "SteadyMotion",

@@ -1,0 +1,240 @@
+"""Normal modes: periodic motions that begin as small vibrations about a rest."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..codegen.compile_effort import for_one_call
+from ..dynamics.rolling import rolling_derivative
+from ..dynamics.scene import Scene
+from ..kinematics.coordinates import State
+from ..validation.checks import FieldError, real, whole
+from .closing_newton import scales
+from .independent_coordinates import IndependentCoordinates, independent_coordinates
+from .neutral import neutral
+from .periodic import PeriodicMotion, periodic_motion
+from .periodic_family import periodic_family
+from .shooting import measured
+from .surface_motions import echelon
+from .symmetries import symmetries
+
+_FIELD = "normal_mode_motion"
+AMPLITUDE = "amplitude"
+# Of the largest rate: what differences of eigenvalues and vectors count as none.
+_LOOSE = 1e-6
+# Rates of a rest over those that gravity would make in the time of a vibration.
+_RESTS = 1e-8
+# Where vibrations begin [rad] or [m].
+_LINEAR = 0.01
+_Complex: TypeAlias = np.ndarray[Any, np.dtype[np.complex128]]
+_Pair: TypeAlias = tuple[_Complex, _Complex]
+
+
+class NormalModes(NamedTuple):
+    """Small vibrations about a rest.
+
+    Attributes:
+        frequencies: In rising order, each as often as it has modes [rad/s], shape (p,).
+        shapes: Changes of the independent coordinates, at rest, whose largest is one,
+            shape (p, n).
+        coordinates: Names of these.
+        around: The coordinates.
+    """
+
+    frequencies: np.ndarray
+    shapes: np.ndarray
+    coordinates: tuple[str, ...]
+    around: IndependentCoordinates
+
+
+class Amplitude(eqx.Module):
+    """How far a state is along a mode's shape [the unit of its largest coordinate].
+
+    Changes along the symmetries at the rest do not count.
+    """
+
+    around: IndependentCoordinates
+    row: Float[Array, " n"]
+
+    # symmetries leave it as it is near the rest only
+    is_local: ClassVar[bool] = True
+
+    def __call__(self, scene: Scene, t: Array, state: State) -> Array:
+        """Its value."""
+        del scene, t
+        return self.row @ self.around.coordinates(state)
+
+
+def normal_modes(scene: Scene, rest: State) -> NormalModes:
+    """Vibrations about a rest, those whose frequency [rad/s] is not zero.
+
+    Of equal frequencies (a bowl of revolution) the shapes are told apart by the
+    independent coordinates, of which each has one that the others lack.
+
+    Args:
+        scene: What rolls on what; nothing in it depends on time.
+        rest: Where it stays, such as ``rk.steady_motion(...).state``.
+
+    Raises:
+        FieldError: a state that does not stay.
+    """
+    around = independent_coordinates(scene, rest)
+    rates, slopes = (np.asarray(x) for x in _linear(around))
+    fastest = float(np.sqrt(np.abs(np.linalg.eigvals(slopes @ slopes)).max()))
+    size = scales(around, 2.0 * np.pi / max(fastest, 1e-6))
+    largest = float(np.abs(rates / size).max())
+    if not largest <= _RESTS * max(fastest, 1e-6):
+        problem = f"does not stay at rest: its rates are {largest:.2g} [1/s]"
+        remedy = "find the rest with rollkane.steady_motion, and give its state"
+        raise FieldError(f"{_FIELD}.rest", "...", problem, remedy)
+    like = slopes * size[None] / size[:, None]
+    frequencies, shapes = _vibrations(like, around, size)
+    return NormalModes(frequencies, shapes, around.names, around)
+
+
+@for_one_call
+def _linear(around: IndependentCoordinates) -> tuple[Array, Array]:
+    """Rates of the coordinates, and their derivative."""
+    scene, t = around.scene, around.time
+
+    def rates(x: Array) -> tuple[Array, Array]:
+        moved = cast(State, rolling_derivative(scene, t, around.state(x)))
+        found = around.velocity(x, moved)
+        return found, found
+
+    origin = jnp.zeros(around.count, t.dtype)
+    slopes, value = cast(tuple[Array, Array], jax.jacfwd(rates, has_aux=True)(origin))
+    return value, slopes
+
+
+def _vibrations(
+    like: np.ndarray, around: IndependentCoordinates, size: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies and shapes of a linear model in coordinates of like size."""
+    values, vectors = cast(_Pair, np.linalg.eig(like))
+    fastest = np.abs(values).max()
+    swings = (values.imag > 1e-4 * fastest) & (np.abs(values.real) < _LOOSE * fastest)
+    places = np.array(np.nonzero(swings)[0])
+    places = places[np.argsort(values.imag[places], kind="stable")]
+    fixed = {"turn", "contact on base", "contact on body", "alpha"}
+    parts = [np.full(k, name in fixed) for name, k in around.sizes.items()]
+    still = np.concatenate(parts)
+    frequencies: list[float] = []
+    shapes: list[np.ndarray] = []
+    while places.size:
+        first = values.imag[places[0]]
+        same = places[values.imag[places] - first < _LOOSE * fastest]
+        chosen = vectors[:, same]
+        rows = _at_rest(np.concatenate([chosen.real, chosen.imag], axis=1).T, still)
+        for row in rows:
+            shape = row * size
+            frequencies.append(float(first))
+            shapes.append(shape / shape[np.argmax(np.abs(shape))])
+        places = places[same.size :]
+    whole_shape = np.stack(shapes) if shapes else np.zeros((0, size.size))
+    return np.array(frequencies), whole_shape
+
+
+def _at_rest(rows: np.ndarray, still: np.ndarray) -> np.ndarray:
+    """Vectors of a real span without velocities; without such, all of it."""
+    basis = np.linalg.svd(rows)[2][: rows.shape[0]]
+    left, values, _ = np.linalg.svd(basis[:, ~still])
+    full = np.zeros(basis.shape[0])
+    full[: values.size] = values
+    resting = left.T[full < _LOOSE] @ basis
+    chosen = resting if resting.shape[0] else basis
+    return echelon(chosen)
+
+
+def normal_mode_motion(
+    scene: Scene,
+    rest: State,
+    amplitude: Any,
+    *,
+    mode: int = 0,
+    hold: Mapping[str, Any] | None = None,
+    segments: int = 1,
+    rtol: float | None = None,
+    method: str = "auto",
+) -> PeriodicMotion:
+    """The periodic motion that a normal mode becomes at a finite amplitude.
+
+    Args:
+        scene: What rolls on what; nothing in it depends on time.
+        rest: Where it stays at rest, such as ``rk.steady_motion(...).state``.
+        amplitude: How far from the rest along the mode's shape the motion begins, in
+            its largest coordinate [rad], [m] or that of alpha.
+        mode: Its number, in rising frequency; see
+            :func:`rollkane.stability.normal_modes.normal_modes`.
+        hold: What else is to have a value, as of :func:`rollkane.periodic_motion`.
+        segments: Runs that a period is made of.
+        rtol: Relative tolerance of a step [1]; 1e-12 by default.
+        method: ``"auto"``, ``"native"`` or ``"diffrax"``.
+
+    Raises:
+        FieldError: a state that does not stay at rest, a mode that there is not, an
+            amplitude to which the family does not go.
+    """
+    modes = normal_modes(scene, rest)
+    count = modes.frequencies.size
+    mode = whole(f"{_FIELD}.mode", mode, 0, f"give 0 to {count - 1}")
+    if mode >= count:
+        problem = f"is not one of the {count} normal modes of this rest"
+        remedy = f"give 0 to {count - 1}" if count else "give a stable rest"
+        raise FieldError(f"{_FIELD}.mode", mode, problem, remedy)
+    far = float(real(f"{_FIELD}.amplitude", amplitude, (), "a number that is not 0"))
+    if far == 0.0:
+        remedy = "give a number that is not 0"
+        raise FieldError(f"{_FIELD}.amplitude", 0.0, "is that of the rest", remedy)
+    shape = modes.shapes[mode]
+    period = float(2.0 * np.pi / modes.frequencies[mode])
+    along = Amplitude(modes.around, jnp.asarray(_row(modes, shape, period)))
+    options: dict[str, Any] = {"segments": segments, "rtol": rtol, "method": method}
+    # from where the vibration is nearly linear the family leads to the amplitude: a
+    # guess far off may be near another motion
+    near = far if abs(far) <= _LINEAR else float(np.copysign(_LINEAR, far))
+    guess = _moved(modes.around, jnp.asarray(near * shape))
+    asked = {**(hold or {}), AMPLITUDE: (along, None)}
+    found = periodic_motion(scene, guess, period, hold=asked, **options)
+    if near == far:
+        return found
+    end = _moved(modes.around, jnp.asarray(far * shape))
+    aim = float(measured(along, scene, modes.around.time, end)[0])
+    span = sorted((found.measure(AMPLITUDE), aim))
+    family = periodic_family(
+        scene, found, AMPLITUDE, (span[0], span[1]), hold=hold, points=10
+    )
+    place = 0 if aim < 0.0 else -1
+    if family.ends[place] != "span":
+        reached = family.points[place].measure(AMPLITUDE)
+        problem = (
+            f"is not reached: at {reached:.6g} the family ends ({family.ends[place]})"
+        )
+        remedy = "give a smaller one, or follow the family with periodic_family"
+        raise FieldError(f"{_FIELD}.amplitude", far, problem, remedy)
+    return family.points[place]
+
+
+def _row(modes: NormalModes, shape: np.ndarray, period: float) -> np.ndarray:
+    """One for the shape, zero along the symmetries at the rest, shape (n,)."""
+    around = modes.around
+    size = scales(around, period)
+    known = neutral(around, symmetries(around.scene)).directions / size
+    own = shape / size
+    for direction in _orthonormal(known):
+        own = own - direction * (direction @ own)
+    return own / size / (own @ own)
+
+
+def _orthonormal(rows: np.ndarray) -> np.ndarray:
+    return np.linalg.qr(rows.T)[0].T
+
+
+@for_one_call
+def _moved(around: IndependentCoordinates, x: Float[Array, " n"]) -> State:
+    return around.state(x)
