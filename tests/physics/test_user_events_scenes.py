@@ -2,6 +2,7 @@
 
 import functools
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -108,3 +109,40 @@ def test_events_and_their_derivatives(name):
     # of order h^8: 1e-21 of numbers of one; runs are equal to 1e-11 of their steps
     differences = EIGHTH @ values / h
     np.testing.assert_allclose(forward, differences, rtol=1e-8, atol=1e-8)
+
+
+WAYS = {
+    "dopri5": {"solver": dfx.Dopri5()},
+    "implicit": {"solver": dfx.Kvaerno5()},
+    "the paper's equations": {"formulation": "euler_lagrange"},
+    "the paper's coordinates": {"coordinates": "voronets"},
+}
+
+
+def by_way(x, way):
+    body = rk.Body(1.0, np.diag([0.004, 0.005, 0.006]), rk.Ellipsoid((0.12, 0.1, 0.07)))
+    field = rk.Gravity(jnp.stack([x, 0.0 * x, -9.81 + 0.0 * x]))
+    scene = rk.Scene(body, loads=(field,))
+    q = np.array([0.9, 0.3, 0.2, 0.1])
+    start = rk.place(scene, q / np.linalg.norm(q), (1.0, 3.0, 0.5), STILL)
+    meets = lambda s, t, y: t + 0.5 * rk.contact_of(s, t, y).position[0] - 0.4
+    how = {"rtol": 1e-9, "events": rk.Event(meets, name="meets"), **way}
+    run = rk.simulate(scene, start, (0.0, 0.5, 1.0), **how)
+    return run.events["meets"].times[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WAYS)
+def test_every_way_to_integrate_moves_events_alike(name):
+    """Explicit steps by their replay, implicit ones by diffrax's, other equations."""
+    x = jnp.asarray(1.4)
+
+    def found(way):
+        f = functools.partial(by_way, way=way)
+        return jax.jit(lambda x: (f(x), jax.jvp(f, (x,), (x,))[1], x * jax.grad(f)(x)))
+
+    known, own = found({})(x), found(WAYS[name])(x)
+    # some 100 steps of rtol 1e-9, over a rate of one
+    np.testing.assert_allclose(own, known, rtol=0, atol=1e-7)
+    # forwards and backwards along the same steps
+    assert abs(own[1] - own[2]) < 1e-12
