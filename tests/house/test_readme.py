@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
@@ -60,17 +62,25 @@ def run_program(text, folder):
         assert told == [["native", ""]] * len(told)
 
 
-def test_python_examples_run(tmp_path):
+# Pages whose programs compile for a minute; what they call has tests of its own.
+LONG = ("events.md", "fit.md", "periodic.md", "steady.md")
+PROGRAMS = {"README.md": README} | {page.name: page.read_text() for page in PAGES}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.slow] if page in LONG else [])
+        for page, text in PROGRAMS.items()
+        if blocks("python", text)
+    ],
+)
+def test_python_examples_run(page, tmp_path):
     """Each block is a program of its own; x64 is set inside, as a reader would.
 
     All of their runs are native, where there is a compiler.
     """
-    examples = [
-        *blocks("python"),
-        *(block for page in PAGES for block in blocks("python", page.read_text())),
-    ]
-    assert len(examples) > 2
-    for example in examples:
+    for example in blocks("python", PROGRAMS[page]):
         run_program(example, tmp_path)
 
 
