@@ -1,10 +1,10 @@
 """Derivatives of misfits by every coordinate, against differences of misfits.
 
-Differences of steps h and h / 2, extrapolated: the rest is of order h^4. For h = 1e-4 of
-a coordinate's size it is 1e-16 of the fifth derivative over its size; of a mass centre in
-the origin, whose size is 1 m for want of another and not the body's 1e-1 to 1e-2 m, 1e-8.
-The rounding of runs at rtol 1e-11 is 1e-11 / 1e-4 of the misfits' size: below 1e-6 of the
-largest derivative.
+Differences of steps h and h / 2, extrapolated: the rest is of order h^4. For h = 1e-4
+of a coordinate's size it is 1e-16 of the fifth derivative over its size; of a mass
+centre in the origin, whose size is 1 m for want of another and not the body's 1e-1 to
+1e-2 m, 1e-8. The rounding of runs at rtol 1e-11 is 1e-11 / 1e-4 of the misfits' size:
+below 1e-6 of the largest derivative.
 """
 
 import numpy as np
