@@ -21,6 +21,7 @@ FOLDERS = [
     "stability",
     "studies",
     "files",
+    "monte_carlo",
     "pictures",
     "cli",
 ]

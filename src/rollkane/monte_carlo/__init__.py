@@ -1,0 +1,1 @@
+"""Many random motions: distributions, statistics, stores, sensitivity."""
