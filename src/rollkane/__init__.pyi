@@ -80,6 +80,8 @@ from .kinematics.coordinates import SlidingState as SlidingState
 from .kinematics.coordinates import State as State
 from .kinematics.recorded_motion import RecordedMotion as RecordedMotion
 from .kinematics.voronets import VoronetsState as VoronetsState
+from .monte_carlo.precision import Precision as Precision
+from .monte_carlo.statistics import Statistics as Statistics
 from .paper.conversions import to_pole_free as to_pole_free
 from .paper.conversions import to_voronets as to_voronets
 from .paper.euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative

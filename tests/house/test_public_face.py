@@ -124,6 +124,8 @@ NAMES = {
     "State",
     "Torus",
     "Trajectory",
+    "Precision",
+    "Statistics",
     "place",
     "rolling_derivative",
     "simulate",
