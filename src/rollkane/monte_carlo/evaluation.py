@@ -7,6 +7,7 @@ serve a ``Study`` of rolling motions and a plain function alike.
 
 import re
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, NamedTuple, Protocol, cast
 
 import jax
@@ -14,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..identification.transforms import entries
 from ..validation.checks import FieldError
-from ..validation.codes import Code
+from ..validation.codes import Code, reason_of
 from .distributions import AbstractDistribution
 from .draws import Draws
 
@@ -110,9 +112,9 @@ class FunctionModel:
 
     def _outputs(self, u: Float[Array, " d"]) -> dict[str, Array]:
         found = self.function(self.draws.draw(u))
-        named = cast("dict[str, Any]", found if isinstance(found, dict) else None)
-        if named is None:
-            named = {_ONLY: found}
+        if not isinstance(found, Mapping):
+            return {_ONLY: jnp.asarray(found)}
+        named = cast("Mapping[str, Any]", found)
         return {name: jnp.asarray(value) for name, value in named.items()}
 
     def evaluate(self, u: np.ndarray) -> Evaluated:
@@ -129,6 +131,10 @@ class FunctionModel:
         for value in values.values():
             failed |= np.isnan(value).reshape(len(u), -1).any(axis=1)
         return Evaluated(values, np.where(failed, FAILED, Code.COMPLETED))
+
+    def reason_of(self, code: int) -> str:
+        """What a code [1] of this model says."""
+        return "the function gave NaN" if code else "completed"
 
     def value_and_gradient(self, u: np.ndarray, of: str = _ONLY) -> Slopes:
         """One output and its gradient.
@@ -165,10 +171,13 @@ def _by_block(function: Callable[[Array], Any], u: np.ndarray) -> Any:
         filled = np.full((size, *u.shape[1:]), 0.5)
         filled[: len(rows)] = rows
         found = function(jnp.asarray(filled))
-        own: Callable[[Any], np.ndarray] = lambda x, n=len(rows): np.asarray(x)[:n]
-        parts.append(jax.tree.map(own, found))
+        parts.append(jax.tree.map(partial(_first, len(rows)), found))
     joined: Callable[..., np.ndarray] = lambda *some: np.concatenate(some)
     return jax.tree.map(joined, *parts)
+
+
+def _first(count: int, rows: Array) -> np.ndarray:
+    return np.asarray(rows)[:count]
 
 
 def entry(values: Mapping[str, Any], of: str, field: str) -> Any:
@@ -176,17 +185,17 @@ def entry(values: Mapping[str, Any], of: str, field: str) -> Any:
 
     Args:
         values: Outputs by name, members in front [each its unit].
-        of: A name, or a name with an index as in ``"end[0]"`` and ``"path[-1, 2]"``.
+        of: A name, or a name with indices as in ``"end[0]"`` and ``"path[-1][2]"``.
         field: Name used in the error.
 
     Raises:
         FieldError: no such output, or not one number.
     """
     name, index = of, ()
-    found = re.fullmatch(r"(.+)\[([-\d, ]+)\]", of)
+    found = re.fullmatch(r"(.+?)((?:\[-?\d+\])+)", of)
     if of not in values and found:
         name = found[1]
-        index = tuple(int(x) for x in found[2].split(",") if x.strip())
+        index = tuple(int(x) for x in found[2].strip("[]").split("]["))
     if name not in values:
         remedy = f"use one of {', '.join(sorted(values))}"
         raise FieldError(field, of, "is no output of the model", remedy)
@@ -196,12 +205,21 @@ def entry(values: Mapping[str, Any], of: str, field: str) -> Any:
     )
     if not inside:
         problem = f"is not one number: {name} has shape {tuple(shape)}"
-        raise FieldError(field, of, problem, f'name one, as in "{name}[0]"')
+        remedy = f'name one, as "{name}{entries(shape)[-1]}"'
+        raise FieldError(field, of, problem, remedy)
     return values[name][(slice(None), *index)]
 
 
-def entry_labels(name: str, shape: tuple[int, ...]) -> list[str]:
-    """Names of the numbers of an output, as ``entry`` reads them, in C order."""
-    if not shape:
-        return [name]
-    return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)]
+def failures(model: Model, code: np.ndarray) -> dict[str, int]:
+    """How many motions failed, by the sentence that says why.
+
+    Args:
+        model: May have a ``reason_of`` of its own, from code to sentence.
+        code: Of each motion, shape (n,).
+    """
+    said: Callable[[int], str] = getattr(model, "reason_of", reason_of)
+    found, counts = np.unique(code[code != Code.COMPLETED], return_counts=True)
+    return {
+        said(one): count
+        for one, count in zip(found.tolist(), counts.tolist(), strict=True)
+    }

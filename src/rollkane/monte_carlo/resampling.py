@@ -2,23 +2,21 @@
 
 An estimate that is a function of sums (a ratio of means, a moment) needs no more than
 the sums over units that are independent of one another: rows of a plain sample, or the
-independent scrambles of a Sobol sequence. Many units are resampled with replacement (the
-bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13); a few,
-for which percentiles of a bootstrap are too narrow, give Student's t of the estimates
-that leave each unit out (the jackknife; for randomized quasi-Monte Carlo the most
-reliable of these: L'Ecuyer, Nakayama, Owen and Tuffin, Confidence Intervals for
+independent scrambles of a Sobol sequence. Many units are resampled with replacement
+(the bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13); a
+few, for which percentiles of a bootstrap are too narrow, give Student's t of the
+estimates that leave each unit out (the jackknife; for randomized quasi-Monte Carlo the
+most reliable of these: L'Ecuyer, Nakayama, Owen and Tuffin, Confidence Intervals for
 Randomized Quasi-Monte Carlo Estimators, WSC 2023).
 """
 
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy import stats
+from scipy import special  # pyright: ignore[reportMissingTypeStubs]
 
 Sums = Mapping[str, np.ndarray]
 Estimate = Callable[[Sums], dict[str, np.ndarray]]
-# With fewer, percentiles of the bootstrap leave out more than they promise.
-ENOUGH_UNITS = 100
 # Numbers of a block of resampled sums.
 _BLOCK = 2**22
 
@@ -31,7 +29,12 @@ class Spread:
     """
 
     def __init__(
-        self, sums: Sums, function: Estimate, resamples: int, seed: int, level: float
+        self,
+        sums: Sums,
+        function: Estimate,
+        level: float,
+        resamples: int | None,
+        seed: int = 0,
     ):
         """Resample.
 
@@ -39,15 +42,16 @@ class Spread:
             sums: By name, units in front: shape (G, ...) [any unit].
             function: Of sums without the axis of units, or with any axes in front of
                 the others: gives estimates with the same axes in front.
-            resamples: Of the bootstrap [1].
-            seed: Of its random numbers.
             level: Probability that an interval covers [1].
+            resamples: Of the bootstrap; None: the jackknife, for few units.
+            seed: Of the bootstrap's random numbers.
         """
         self._tail = 0.5 * (1.0 - level)
         self._count = len(next(iter(sums.values())))
         whole = {name: x.sum(axis=0) for name, x in sums.items()}
         self.estimate = function(whole)
-        if self._count >= ENOUGH_UNITS:
+        self._resampled = resamples is not None
+        if resamples is not None:
             self._others = _bootstrap(sums, function, resamples, seed)
         else:
             left = {name: whole[name][None] - x for name, x in sums.items()}
@@ -56,15 +60,20 @@ class Spread:
     def interval(self, name: str) -> np.ndarray:
         """Lower and upper end of an estimate's interval, shape (2, ...)."""
         others = self._others[name]
-        if self._count >= ENOUGH_UNITS:
+        if self._resampled:
             return np.quantile(others, [self._tail, 1.0 - self._tail], axis=0)
-        wide = stats.t.ppf(1.0 - self._tail, self._count - 1) * self.error(name)
+        quantile = special.stdtrit(self._count - 1, 1.0 - self._tail)
+        wide = float(quantile) * self.error(name)
         return np.stack([self.estimate[name] - wide, self.estimate[name] + wide])
+
+    def mean(self, name: str) -> np.ndarray:
+        """Mean over the resampled sums, as of a distance from the estimate."""
+        return self._others[name].mean(axis=0)
 
     def error(self, name: str) -> np.ndarray:
         """Standard error of an estimate, of its shape."""
         others = self._others[name]
-        if self._count >= ENOUGH_UNITS:
+        if self._resampled:
             return others.std(axis=0, ddof=1)
         around = ((others - others.mean(axis=0)) ** 2).sum(axis=0)
         return np.sqrt((self._count - 1) / self._count * around)

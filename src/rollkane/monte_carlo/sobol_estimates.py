@@ -1,14 +1,14 @@
 """Sobol indices from the outputs of Saltelli's design, and their bounds.
 
 With ``f_A``, ``f_B`` the outputs at two independent samples and ``f_C`` those at A with
-the columns of one factor from B, twice ``1 - S`` and twice ``T`` are the mean squares of
-``f_B - f_C`` and of ``f_A - f_C`` over the variance (Jansen, Comput. Phys. Commun. 117,
-1999). First-order indices divide by the variance of the pair itself, which no estimator
-from such pairs beats (Janon, Klein, Lagnoux, Nodet and Prieur, ESAIM: P&S 18, 2014), and
-subtract a multiple of the mean of ``f_A f_B``, which is known to be that of independent
-numbers; a multiple of 1 is what makes Saltelli's estimator (Comput. Phys. Commun. 181,
-2010) good for small indices and bad for large ones, and the multiple here is that of
-least variance. Total indices divide by the variance of all outputs of a row.
+the columns of one factor from B, twice ``1 - S`` and twice ``T`` are the mean squares
+of ``f_B - f_C`` and of ``f_A - f_C`` over the variance (Jansen, Comput. Phys. Commun.
+117, 1999). First-order indices divide by the variance of the pair itself, which no
+estimator from such pairs beats (Janon, Klein, Lagnoux, Nodet and Prieur, ESAIM: P&S 18,
+2014), and subtract a multiple of the mean of ``f_A f_B``, which is known to be that of
+independent numbers; a multiple of 1 is what makes Saltelli's estimator (Comput. Phys.
+Commun. 181, 2010) good for small indices and bad for large ones, and the multiple here
+is that of least variance. Total indices divide by the variance of all outputs of a row.
 """
 
 from typing import NamedTuple

@@ -1,12 +1,12 @@
 """Sobol indices: which of what is drawn makes an output vary, right when runs fail."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..validation.checks import FieldError, whole
-from .evaluation import Model
+from .evaluation import Model, failures
 from .inputs import chosen_outputs, share
 from .resampling import Spread, unit_numbers
 from .sampling import sampler
@@ -77,7 +77,9 @@ def sobol_indices(
     values, code = model.evaluate(u)
     groups = None if samples.group_count is None else samples.groups(0, size)
     units = unit_numbers(size, groups)
-    made = SobolIndices(names=names, level=level, rows=size, codes=_counted(code))
+    made = SobolIndices(names, level, size, failures(model, code))
+    # few scrambles are too few to draw from
+    how = _Resampling(units, level, resamples if groups is None else None, seed)
     limits = {} if limits is None else limits
     for name in chosen_outputs(values, outputs, "sobol_indices.outputs"):
         value = np.where(
@@ -86,7 +88,6 @@ def sobol_indices(
             np.nan,
         )
         parts = _parts(value.reshape(len(code), -1), size, len(names))
-        how = _Resampling(units, resamples, seed, level)
         _add(made, name, value.shape[1:], parts, limits.get(name), how)
     return made
 
@@ -94,9 +95,11 @@ def sobol_indices(
 class _Resampling:
     """How intervals are found."""
 
-    def __init__(self, units: np.ndarray, resamples: int, seed: int, level: float):
+    def __init__(
+        self, units: np.ndarray, level: float, resamples: int | None, seed: int
+    ):
         self.units = units
-        self.how = resamples, seed, level
+        self.how = level, resamples, seed
 
 
 def _design(u: np.ndarray, dimension: int, columns: list[slice]) -> np.ndarray:
@@ -116,12 +119,6 @@ def _parts(value: np.ndarray, size: int, count: int) -> Design:
     return Design(value[:size], value[size : 2 * size], np.moveaxis(mixed, 0, 1))
 
 
-def _counted(code: np.ndarray) -> dict[int, int]:
-    """How many motions ended with each code but success."""
-    found, counts = np.unique(code[code != 0], return_counts=True)
-    return dict(zip(found.tolist(), counts.tolist(), strict=True))
-
-
 def _add(
     made: SobolIndices,
     name: str,
@@ -131,12 +128,16 @@ def _add(
     how: _Resampling,
 ) -> None:
     """Indices of one output, put into the result."""
-    shaped = lambda x: x.reshape(*x.shape[:-1], *shape)
+    shaped: Callable[[np.ndarray], np.ndarray] = lambda x: x.reshape(
+        *x.shape[:-1], *shape
+    )
     complete = design.complete
     made.dropped[name] = int((~complete).sum())
     if complete.sum() < _LEAST or len(np.unique(how.units[complete])) < 2:
         problem = f"has {int(complete.sum())} rows in which no motion failed"
-        remedy = "raise size, or look at what fails: print the result of a smaller study"
+        remedy = (
+            "raise size, or look at what fails: print the result of a smaller study"
+        )
         raise FieldError("sobol_indices.model", name, problem, remedy)
     units = np.unique(how.units[complete], return_inverse=True)[1]
     kept = design.rows(complete).standardized()
@@ -146,16 +147,15 @@ def _add(
     made.first[name], made.total[name] = shaped(found["first"]), shaped(found["total"])
     made.first_interval[name] = shaped(intervals["first"])
     made.total_interval[name] = shaped(intervals["total"])
-    bounds = intervals
+    bounds = dict(intervals)
     if not complete.all():
         low, high = _limits(name, design, shape, limits)
         made.limits[name] = (low.reshape(shape), high.reshape(shape))
         sums = bound_sums(design, low, high, how.units)
         wide = Spread(sums, index_bounds, *how.how)
-        ends = lambda kind: np.stack(
-            [wide.interval(f"{kind}_low")[0], wide.interval(f"{kind}_high")[1]]
-        )
-        bounds = {kind: np.clip(ends(kind), 0.0, 1.0) for kind in ("first", "total")}
+        for kind in ("first", "total"):
+            ends = wide.interval(f"{kind}_low")[0], wide.interval(f"{kind}_high")[1]
+            bounds[kind] = np.clip(np.stack(ends), 0.0, 1.0)
     made.first_bounds[name] = shaped(bounds["first"])
     made.total_bounds[name] = shaped(bounds["total"])
 

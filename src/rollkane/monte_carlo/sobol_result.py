@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..validation.codes import reason_of
-from .evaluation import entry_labels
+from ..identification.transforms import entries
 
 _MOST_SHOWN = 12  # numbers of an output
 
@@ -27,7 +26,7 @@ class SobolIndices:
         names: Of the factors.
         level: Probability with which an interval covers its index [1].
         rows: Of the design; each has k + 2 motions.
-        codes: How many motions failed, by their code.
+        reasons: How many motions failed, by the sentence that says why.
         first: First-order indices [1], shapes (k, ...).
         total: Total indices [1], shapes (k, ...).
         first_interval: Their intervals [1], shapes (2, k, ...).
@@ -44,7 +43,7 @@ class SobolIndices:
     names: tuple[str, ...]
     level: float
     rows: int
-    codes: dict[int, int]
+    reasons: dict[str, int]
     first: dict[str, np.ndarray] = field(default_factory=_empty)
     total: dict[str, np.ndarray] = field(default_factory=_empty)
     first_interval: dict[str, np.ndarray] = field(default_factory=_empty)
@@ -64,7 +63,7 @@ class SobolIndices:
     @property
     def failed(self) -> int:
         """How many of them ended with another code than success."""
-        return sum(self.codes.values())
+        return sum(self.reasons.values())
 
     def __str__(self) -> str:
         """The indices with their intervals, and what failed."""
@@ -78,45 +77,48 @@ class SobolIndices:
         if not any(self.dropped.values()):
             return
         yield f"WARNING: {self.failed} of {self.evaluations} motions FAILED"
-        for code, count in self.codes.items():
-            yield f"  {count}: {reason_of(code)}"
+        yield from (f"  {count}: {why}" for why, count in self.reasons.items())
         for name, count in self.dropped.items():
             if count:
                 part = 100.0 * count / self.rows
                 yield f"  {name}: {count} rows ({part:.1f} %) were dropped whole"
-        yield "  The indices are those of motions that complete. They are also those of"
-        yield "  all motions if failing has nothing to do with what is drawn; if it has,"
-        yield '  no more is known of them than "could be" says.'
+        yield "  The indices are those of motions that complete: those of all motions"
+        yield "  only if failing has nothing to do with what is drawn; else no more is"
+        yield '  known of these than "could be" says.'
 
     def _table(self, name: str) -> Iterator[str]:
-        shape = self.first[name].shape[1:]
-        labels = entry_labels(name, shape)
-        wide = max(len("factor"), *map(len, self.names))
-        # one axis of entries, whatever the shape
-        flat = lambda x, count: x.reshape(*x.shape[:count], -1)
-        first, total = flat(self.first[name], 1), flat(self.total[name], 1)
-        parts = [self.first_interval, self.first_bounds]
-        parts += [self.total_interval, self.total_bounds]
-        around = [flat(x[name], 2) for x in parts]
-        bounded = bool(self.dropped[name])
-        percent = f"{100.0 * self.level:g} % interval"
-        could = f"  {'could be':14}" if bounded else ""
-        for e, label in enumerate(labels[:_MOST_SHOWN]):
+        labels = [name + index for index in entries(self.first[name].shape[1:])]
+        for number, label in enumerate(labels[:_MOST_SHOWN]):
+            rows = [self._row(name, number, i) for i in range(len(self.names))]
+            heads = self._heads(name)
+            wide = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
             yield f"{label}:"
-            head = f"{'first':>7}  {percent:16}{could}"
-            yield f"  {'factor':{wide}}  {head}  {head.replace('first', 'total')}".rstrip()
-            for i, factor in enumerate(self.names):
-                cells: list[str] = []
-                for value, (ends, far) in (
-                    (first[i, e], (around[0][:, i, e], around[1][:, i, e])),
-                    (total[i, e], (around[2][:, i, e], around[3][:, i, e])),
-                ):
-                    cell = f"{value:7.3f}  {_pair(ends):16}"
-                    cells.append(cell + (f"  {_pair(far):14}" if bounded else ""))
-                yield f"  {factor:{wide}}  {'  '.join(cells)}".rstrip()
+            for row in (heads, *rows):
+                cells = [f"{x:<{w}}" for x, w in zip(row, wide, strict=True)]
+                yield ("  " + "  ".join(cells)).rstrip()
         if len(labels) > _MOST_SHOWN:
             yield f"({len(labels) - _MOST_SHOWN} more numbers of {name})"
 
+    def _heads(self, name: str) -> list[str]:
+        around = [f"{100.0 * self.level:g} % interval"]
+        around += ["could be"] if self.dropped[name] else []
+        return ["factor", "first", *around, "total", *around]
 
-def _pair(ends: np.ndarray) -> str:
-    return f"{ends[0]:.3f} to {ends[1]:.3f}"
+    def _row(self, name: str, number: int, factor: int) -> list[str]:
+        """One factor's indices of one number of an output."""
+        cells = [self.names[factor]]
+        for values, intervals, bounds in (
+            (self.first, self.first_interval, self.first_bounds),
+            (self.total, self.total_interval, self.total_bounds),
+        ):
+            cells.append(f"{_flat(values[name], 1)[factor, number]:.3f}")
+            around = [intervals[name], *([bounds[name]] if self.dropped[name] else [])]
+            for ends in around:
+                low, high = _flat(ends, 2)[:, factor, number]
+                cells.append(f"{low:.3f} to {high:.3f}")
+        return cells
+
+
+def _flat(x: np.ndarray, kept: int) -> np.ndarray:
+    """With one axis for the output's own shape."""
+    return x.reshape(*x.shape[:kept], -1)
