@@ -177,7 +177,7 @@ def active_directions(
         float(values[good].mean()),
         float(values[good].var()),
         size,
-        failures(model, np.where(good | (code != 0), code, 1)),
+        failures(model, code, ~good & (code == 0)),
     )
 
 

@@ -210,16 +210,22 @@ def entry(values: Mapping[str, Any], of: str, field: str) -> Any:
     return values[name][(slice(None), *index)]
 
 
-def failures(model: Model, code: np.ndarray) -> dict[str, int]:
+def failures(
+    model: Model, code: np.ndarray, unknown: np.ndarray | None = None
+) -> dict[str, int]:
     """How many motions failed, by the sentence that says why.
 
     Args:
         model: May have a ``reason_of`` of its own, from code to sentence.
         code: Of each motion, shape (n,).
+        unknown: Which completed without a number as their output, shape (n,).
     """
     said: Callable[[int], str] = getattr(model, "reason_of", reason_of)
     found, counts = np.unique(code[code != Code.COMPLETED], return_counts=True)
-    return {
+    reasons = {
         said(one): count
         for one, count in zip(found.tolist(), counts.tolist(), strict=True)
     }
+    if unknown is not None and unknown.any():
+        reasons["the output is NaN"] = int(unknown.sum())
+    return reasons
