@@ -1,7 +1,8 @@
 """Truncated distributions: what is left of one in an interval, right in far tails."""
 
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -10,6 +11,9 @@ from jaxtyping import Array, Float
 from ..validation.checks import FieldError, is_traced, refuse
 from .distribution_checks import described, numbers, ordered
 from .distributions import AbstractContinuous
+
+# log F and log (1 - F)
+_Tails: TypeAlias = tuple[Array, Array]
 
 
 class Truncated(AbstractContinuous):
@@ -55,7 +59,7 @@ class Truncated(AbstractContinuous):
         self.low = _limit("Truncated.low", low, -jnp.inf, shape)
         self.high = _limit("Truncated.high", high, jnp.inf, shape)
         self.low = ordered("Truncated.low", self.low, self.high)
-        mass = self._log_mass(jnp.result_type(float))
+        mass = cast(Array, _log_mass(distribution, self.low, self.high))
         known = not is_traced(mass)
         if known and np.isnan(np.asarray(mass)).any():
             problem = "has a number that does not vary"
@@ -73,29 +77,18 @@ class Truncated(AbstractContinuous):
         """Shape of a draw."""
         return self.distribution.shape
 
-    def _at(self, limit: Array, low: bool, dtype: Any) -> tuple[Array, Array]:
-        """Logarithms of both tails at an end, which may be infinite."""
-        some = jnp.isfinite(limit)
-        half = jnp.full(self.shape, jnp.log(0.5), dtype)
-        middle = self.distribution.quantile(half, half)
-        below, above = self.distribution.log_tails(
-            jnp.where(some, limit.astype(dtype), middle)
+    def _ends(self, dtype: Any) -> tuple[_Tails, _Tails]:
+        """Logarithms of both tails at both ends."""
+        return _ends_of(
+            self.distribution, self.low.astype(dtype), self.high.astype(dtype)
         )
-        nothing, all_of_it = jnp.full_like(below, -jnp.inf), jnp.zeros_like(below)
-        ends = (nothing, all_of_it) if low else (all_of_it, nothing)
-        return jnp.where(some, below, ends[0]), jnp.where(some, above, ends[1])
-
-    def _log_mass(self, dtype: Any) -> Array:
-        """Logarithm of the interval's probability."""
-        ends = self._at(self.low, True, dtype), self._at(self.high, False, dtype)
-        return _log_between(*ends)
 
     def quantile(
         self, log_cdf: Float[Array, "*n"], log_survival: Float[Array, "*n"]
     ) -> Float[Array, "*n"]:
         """The whole distribution's, at the probability in the interval."""
         dtype = log_cdf.dtype
-        low, high = self._at(self.low, True, dtype), self._at(self.high, False, dtype)
+        low, high = self._ends(dtype)
         mass = _log_between(low, high)
         below = jnp.logaddexp(low[0], log_cdf + mass)
         above = jnp.logaddexp(high[1], log_survival + mass)
@@ -106,7 +99,7 @@ class Truncated(AbstractContinuous):
     def log_tails(self, x: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Of the shares of the interval below and above."""
         dtype = x.dtype
-        low, high = self._at(self.low, True, dtype), self._at(self.high, False, dtype)
+        low, high = self._ends(dtype)
         mass = _log_between(low, high)
         limits = self.low.astype(dtype), self.high.astype(dtype)
         here = self.distribution.log_tails(jnp.clip(x, *limits))
@@ -136,7 +129,29 @@ def _limit(
     return jnp.broadcast_to(found, shape)
 
 
-def _log_between(low: tuple[Array, Array], high: tuple[Array, Array]) -> Array:
+def _ends_of(
+    distribution: AbstractContinuous, low: Array, high: Array
+) -> tuple[_Tails, _Tails]:
+    """Logarithms of both tails at ends, which may be infinite."""
+    half = jnp.full(distribution.shape, jnp.log(0.5), low.dtype)
+    middle = distribution.quantile(half, half)
+    nothing, whole = jnp.full_like(half, -jnp.inf), jnp.zeros_like(half)
+
+    def tails(limit: Array, below_none: Array, above_none: Array) -> _Tails:
+        some = jnp.isfinite(limit)
+        below, above = distribution.log_tails(jnp.where(some, limit, middle))
+        return jnp.where(some, below, below_none), jnp.where(some, above, above_none)
+
+    return tails(low, nothing, whole), tails(high, whole, nothing)
+
+
+@jax.jit  # one program, not one for each operation
+def _log_mass(distribution: AbstractContinuous, low: Array, high: Array) -> Array:
+    """Logarithm of an interval's probability."""
+    return _log_between(*_ends_of(distribution, low, high))
+
+
+def _log_between(low: _Tails, high: _Tails) -> Array:
     """``log (F(b) - F(a))`` from logarithms of both tails at a and b."""
     (low_below, low_above), (high_below, high_above) = low, high
     # from the tail in which the interval lies
