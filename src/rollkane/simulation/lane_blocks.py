@@ -90,7 +90,7 @@ class LaneBlocks:
         leaves, tree = both
         self._events = [np.asarray(x).reshape(-1) for x in jax.tree.leaves(events)]
         own = tuple(axis is not None for axis in axes)
-        self._explains = explains_ends(scene, start)
+        self._example = scene, start
         self._outputs = stops_of(times)
         self._stops = self._landings(scene, members)
         kind = _Kind(
@@ -194,7 +194,8 @@ class LaneBlocks:
             results.moments[~good] = np.nan
             results.numbers[~good] = [0] * (results.numbers.shape[1] - 1) + [-1]
         code = results.code
-        if self._explains and is_stuck(code[good]).any():
+        # asked last: it traces the surfaces' ends
+        if is_stuck(code[good]).any() and explains_ends(*self._example):
             code = self._code(scene, results)
         code = np.where(good, code, code_of_fault)
         return y, results._replace(code=code, fault=fault)
