@@ -28,7 +28,7 @@ from ..integration.plans import UNRECORDED_STEPS
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, flag, is_traced, whole
 from ..validation.codes import Fields
-from .ensemble_members import OfLeaf, by_axis, members_of
+from .ensemble_members import Members, OfLeaf, by_axis, members_of
 from .ensemble_result import Ensemble
 from .event_record import EventRecord, events_in_modes, events_of, record_of
 from .lane_blocks import LaneBlocks, NotForLanesError
@@ -75,8 +75,12 @@ class EnsembleRun:
         events: Any = (),
         stop: Any = None,
     ):
-        """Check and plan it; see :func:`rollkane.ensemble`."""
-        self.members = members_of(scene, starts, count, scene_axes)
+        """Check and plan it; see :func:`rollkane.ensemble`.
+
+        ``scene`` may be members that are known already.
+        """
+        ready = isinstance(scene, Members)
+        self.members = scene if ready else members_of(scene, starts, count, scene_axes)
         self.traced = is_traced(scene, starts, times, rtol, atol)
         if method not in METHODS:
             raise FieldError(
@@ -113,7 +117,7 @@ class EnsembleRun:
         if method != "diffrax" and modes is None and not self.traced:
             self._choose()
         self.block = self._size(block)
-        self.workers = _whole("workers", workers, _processors())
+        self.workers = _whole("workers", workers, processors())
 
     def _check(self, modes: Modes | None) -> None:
         scene, start = self.example
@@ -146,7 +150,7 @@ class EnsembleRun:
         numbers = sum(x.size for x in jax.tree.leaves(self._kept_at_a_time()))
         fitting = _MEMORY // (8 * max(numbers, 1) * self.times.shape[0])
         # small enough that every processor has some
-        fair = -(-self.members.size // _processors())
+        fair = -(-self.members.size // processors())
         default = max(min(_MOST_IN_BLOCK, fitting, fair), 1)
         return min(_whole("block", block, default), self.members.size)
 
@@ -183,9 +187,23 @@ class EnsembleRun:
         """One block, as NumPy arrays."""
         count = min(self.block, self.members.size - first)
         scene, starts = self.members.block(first, first + count)
-        scene, starts = self._filled(scene, starts, count)
-        run = self._simulated if self.lanes is None else self._in_lanes
-        return self._ensemble(run(scene, starts), scene, first, count)
+        return self.block_of(*self._filled(scene, starts, count), first, count)
+
+    def block_of(self, scene: Scene, starts: State, first: int, count: int) -> Ensemble:
+        """One block of members that are given, as NumPy arrays.
+
+        Args:
+            scene: Scenes of as many members as ``block`` says.
+            starts: Their starts.
+            first: Number of the first.
+            count: How many of them are wanted.
+        """
+        if self.lanes is None:
+            made = self._simulated(scene, starts)
+        else:
+            wanted = count if self.observe is None else self.block
+            made = self._in_lanes(self.lanes, scene, starts, wanted)
+        return self._ensemble(made, scene, first, count)
 
     def _filled(self, scene: Scene, starts: State, count: int) -> tuple[Scene, State]:
         """A last, shorter block filled up with its last member: compiled once."""
@@ -201,13 +219,14 @@ class EnsembleRun:
 
         return self.members.mapped(repeated, scene, starts)
 
-    def _in_lanes(self, scene: Scene, starts: State) -> dict[str, Any]:
+    def _in_lanes(
+        self, lanes: LaneBlocks, scene: Scene, starts: State, count: int
+    ) -> dict[str, Any]:
         """What the loop over lanes makes of a block, by the names of ``Ensemble``."""
-        assert self.lanes is not None
-        y, results = self.lanes.run(scene, starts, self.block)
+        y, results = lanes.run(scene, starts, self.block, count)
         return {
-            "state": self.lanes.states(y),
-            "final_state": self.lanes.states(results.final_y),
+            "state": lanes.states(y),
+            "final_state": lanes.states(results.final_y),
             "event_record": self._found(results),
             "method": "native",
             "why": "",
@@ -279,7 +298,8 @@ def _simulated(
     return jax.vmap(one, in_axes=axes, axis_size=count)(scene, starts)
 
 
-def _processors() -> int:
+def processors() -> int:
+    """How many processors this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
