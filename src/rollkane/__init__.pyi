@@ -80,6 +80,17 @@ from .kinematics.coordinates import SlidingState as SlidingState
 from .kinematics.coordinates import State as State
 from .kinematics.recorded_motion import RecordedMotion as RecordedMotion
 from .kinematics.voronets import VoronetsState as VoronetsState
+from .monte_carlo.directions import VonMisesFisher as VonMisesFisher
+from .monte_carlo.distributions import LogNormal as LogNormal
+from .monte_carlo.distributions import Normal as Normal
+from .monte_carlo.distributions import Uniform as Uniform
+from .monte_carlo.distributions import UniformOrientation as UniformOrientation
+from .monte_carlo.empirical import Empirical as Empirical
+from .monte_carlo.fit_draws import FitCovariance as FitCovariance
+from .monte_carlo.inertia_draws import InertiaPerturbation as InertiaPerturbation
+from .monte_carlo.joint_distributions import Correlated as Correlated
+from .monte_carlo.joint_distributions import MultivariateNormal as MultivariateNormal
+from .monte_carlo.truncation import Truncated as Truncated
 from .paper.conversions import to_pole_free as to_pole_free
 from .paper.conversions import to_voronets as to_voronets
 from .paper.euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative

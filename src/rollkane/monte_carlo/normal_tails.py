@@ -1,12 +1,14 @@
 """The normal distribution by logarithms of its probabilities, right in far tails."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
-_HALF_LOG_TAU = 0.5 * np.log(2.0 * np.pi)
+_HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 # Beyond, the asymptotic series is used. Its seven terms leave out 15!!/x^14 times
 # (15/x^2): 5e-18 at 36, 3e-8 at 12; the complementary error function is still a normal
 # number of its precision at either.
