@@ -28,8 +28,15 @@ def uniforms(size, seed=0, count=COUNT):
 
 
 def drawn(distribution, seed=0, count=COUNT):
-    u = uniforms(distribution.size, seed, count)
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(distribution.draw))(u))
+    return at(distribution, uniforms(distribution.size, seed, count))
+
+
+def at(distribution, u):
+    return jax.tree.map(np.asarray, PROGRAM(distribution, u))
+
+
+# one program for all distributions of one structure
+PROGRAM = jax.jit(jax.vmap(lambda one, u: one.draw(u), in_axes=(None, 0)))
 
 
 def distance(sample, cdf):
@@ -82,8 +89,8 @@ def test_numbers_have_their_distribution(name):
 def test_numbers_grow_with_u_and_are_finite_at_its_ends(name):
     distribution, cdf = SCALARS[name]
     tiny = 2.0**-53
-    u = np.concatenate([[tiny], np.linspace(0.0, 1.0, 1003)[1:-1], [1.0 - tiny]])
-    x = np.asarray(jax.jit(jax.vmap(distribution.draw))(u[:, None]))
+    u = np.concatenate([[tiny], np.linspace(0.0, 1.0, COUNT)[1:-1], [1.0 - tiny]])
+    x = at(distribution, u[:, None])
     assert np.isfinite(x).all()
     assert (np.diff(x) > 0.0).all()
     # quantiles are good to some ten roundings, and so is SciPy's distribution function
@@ -107,7 +114,7 @@ def test_far_tails_agree_with_scipy(name):
     low, high = TAILS[name]
     u = np.linspace(0.0, 1.0, 2003)[1:-1]
     cut = rk.Truncated(rk.Normal(0.0, 1.0), low, high)
-    x = np.asarray(jax.jit(jax.vmap(cut.draw))(u[:, None]))
+    x = at(cut, u[:, None])
     np.testing.assert_allclose(
         x, scipy.stats.truncnorm.ppf(u, low, high), rtol=0, atol=1e-10
     )
@@ -131,7 +138,7 @@ def test_single_precision_has_its_tails():
     u = np.linspace(0.0, 1.0, 203, dtype=np.float32)[1:-1]
     for low, high in ((6.0, np.inf), (-np.inf, -20.0), (-1.0, 2.0)):
         cut = rk.Truncated(rk.Normal(0.0, 1.0), low, high)
-        x = np.asarray(jax.jit(jax.vmap(cut.draw))(u[:, None]))
+        x = at(cut, u[:, None])
         assert x.dtype == np.float32
         expected = scipy.stats.truncnorm.ppf(u.astype(float), low, high)
         # the logarithm, 200 at 20 deviations, has 5 digits behind the point: /20
@@ -337,18 +344,16 @@ def test_a_copula_keeps_the_distributions():
 
 def test_values_come_as_often_as_they_should():
     middles = ((np.arange(600) + 0.5) / 600)[:, None]
-    counted = lambda d: np.unique(
-        jax.jit(jax.vmap(d.draw))(middles), return_counts=True
-    )
+    counted = lambda d: np.unique(at(d, middles), return_counts=True)
     values, counts = counted(rk.Empirical([3.0, 1.0, 2.0]))
     assert (values.tolist(), counts.tolist()) == ([1.0, 2.0, 3.0], [200, 200, 200])
     values, counts = counted(rk.Empirical([3.0, 1.0, 2.0, 9.0], [1.0, 2.0, 3.0, 0.0]))
     assert (values.tolist(), counts.tolist()) == ([1.0, 2.0, 3.0], [200, 300, 100])
-    grown = jax.jit(jax.vmap(rk.Empirical([3.0, 1.0, 2.0]).draw))(middles)
+    grown = at(rk.Empirical([3.0, 1.0, 2.0]), middles)
     assert (np.diff(grown) >= 0.0).all()
     rows = rk.Empirical([[1.0, 10.0], [2.0, 20.0], [0.0, 0.0]], [1.0, 1.0, 2.0])
     assert (rows.shape, rows.size) == ((2,), 1)
-    x = jax.jit(jax.vmap(rows.draw))(middles)
+    x = at(rows, middles)
     np.testing.assert_array_equal(x[:, 1], 10.0 * x[:, 0])
     assert rows.draw(jnp.array([0.3])).tolist() == [2.0, 20.0]
     single = rk.Empirical([7.0])
@@ -529,9 +534,8 @@ def test_draws_by_name():
 
 def test_single_precision():
     draws = study()
-    draw = jax.jit(jax.vmap(draws.draw))
-    found = flat(draw(uniforms(8, count=16).astype(np.float32)))
-    exact = flat(draw(uniforms(8, count=16)))
+    found = flat(at(draws, uniforms(8, count=16).astype(np.float32)))
+    exact = flat(at(draws, uniforms(8, count=16)))
     for name, value in found.items():
         assert value.dtype == np.float32
         # u is rounded by 6e-8, quantiles of a unit deviation rise by up to 100 at the

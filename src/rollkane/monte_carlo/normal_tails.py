@@ -1,6 +1,7 @@
 """The normal distribution by logarithms of its probabilities, right in far tails."""
 
 import math
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -64,10 +65,13 @@ def lower_quantile(logarithm: Float[Array, "*n"]) -> Float[Array, "*n"]:
     size = -2.0 * jnp.minimum(goal, least)
     far = -jnp.sqrt(size - jnp.log(2.0 * jnp.pi * size))
     x = jnp.where(goal > least, ndtri(jnp.exp(jnp.maximum(goal, least))), far)
-    for _ in range(_NEWTON):
+
+    def step(_: int, x: Array) -> Array:
         value = log_normal_cdf(x)
-        x = x - (value - goal) * jnp.exp(value - _log_density(x))
-    return jnp.where(known, x, -jnp.inf)
+        return x - (value - goal) * jnp.exp(value - _log_density(x))
+
+    found = cast(Array, jax.lax.fori_loop(0, _NEWTON, step, x))
+    return jnp.where(known, found, -jnp.inf)
 
 
 @lower_quantile.defjvp
