@@ -90,6 +90,8 @@ from .monte_carlo.fit_draws import FitCovariance as FitCovariance
 from .monte_carlo.inertia_draws import InertiaPerturbation as InertiaPerturbation
 from .monte_carlo.joint_distributions import Correlated as Correlated
 from .monte_carlo.joint_distributions import MultivariateNormal as MultivariateNormal
+from .monte_carlo.precision import Precision as Precision
+from .monte_carlo.statistics import Statistics as Statistics
 from .monte_carlo.truncation import Truncated as Truncated
 from .paper.conversions import to_pole_free as to_pole_free
 from .paper.conversions import to_voronets as to_voronets

@@ -135,6 +135,8 @@ NAMES = {
     "State",
     "Torus",
     "Trajectory",
+    "Precision",
+    "Statistics",
     "place",
     "rolling_derivative",
     "simulate",
