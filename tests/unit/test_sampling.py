@@ -1,5 +1,6 @@
 """Samples of uniform numbers: the same for any blocks, balanced, and independent."""
 
+import json
 import pickle
 import sys
 
@@ -62,6 +63,16 @@ def test_seeds_are_apart(kind):
     if kind == "sobol":  # a digit of all points is the same or the other one
         return
     assert np.abs(joined).max() < scipy.stats.norm.isf(P / 18.0) / np.sqrt(SIZE)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_descriptions_identify(kind):
+    """Another size is the same sample, but of Latin sets."""
+    spec = lambda *given: json.dumps(sampler(kind, *given).spec())
+    known = spec(3, 1, 512)
+    assert known == spec(3, 1, 512)
+    assert (known == spec(3, 1, 1024)) == (kind != "latin")
+    assert len({known, spec(3, 2, 512), spec(4, 1, 512)}) == 3
 
 
 def test_plain_members_are_those_of_philox():
