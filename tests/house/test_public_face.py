@@ -13,6 +13,17 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "VonMisesFisher",
+    "LogNormal",
+    "Normal",
+    "Uniform",
+    "UniformOrientation",
+    "Empirical",
+    "FitCovariance",
+    "InertiaPerturbation",
+    "Correlated",
+    "MultivariateNormal",
+    "Truncated",
     "NormalModes",
     "PeriodicFamily",
     "PeriodicMotion",
