@@ -36,7 +36,8 @@ class Statistics:
     the largest; they need two of them. Fewer than 20 hits or misses, or groups that all
     agree, say too little for that: then a probability has the interval of a plain
     sample, which such designs only make wider than needed, and which is never of zero
-    width. Quantiles have that interval always.
+    width. So it is with quantiles, of up to 64 groups. Means of groups of few members
+    whose values are very skewed are no more normal than those of so few plain ones.
 
     Attributes:
         group_count: How many groups there are; None for a plain sample.
@@ -288,7 +289,7 @@ class Statistics:
         Returns:
             Value and both ends [the unit of the value], each in its shape: order
             statistics, moved outwards by the error of rank of what is kept
-            (:class:`~rollkane.monte_carlo.quantile_sketch.QuantileSketch`).
+            (:class:`~rollkane.monte_carlo.quantile_sketch.GroupedSketch`).
 
         Raises:
             FieldError: no number, or q or level outside of 0 to 1.
