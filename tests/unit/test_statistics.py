@@ -253,8 +253,8 @@ def test_quantiles_over_groups():
     assert low == ordered[int(np.floor(0.3004 * n - half)) - 1]
     assert high == ordered[int(np.ceil(0.3004 * n + half))]
     plain = fed({"x": x}, good).quantile("x", 0.3004)
-    # shares of 30 or 31 of 100 strata: half a width of 1 + 2.4 800 0.005 / sqrt(8) = 4.4
-    # ranks at most, where the binomial distribution has 26
+    # shares of 30 or 31 of 100 strata: half a width of 1 + 2.4 800 0.005 / sqrt(8),
+    # 4.4 ranks, at most, where the binomial distribution has 26
     assert high - low < 0.2 * (plain[2] - plain[1])
     # 20 members beyond, and groups of which each has 50 of 100 below: as plain ones
     for q in (0.025, 0.5):
