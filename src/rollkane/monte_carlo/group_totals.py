@@ -108,7 +108,7 @@ class GroupTotals:
         return GroupTotals(members, counts, sums)
 
     def replicates(self, shift: np.ndarray) -> Replicates:
-        """Mean and error, from groups with half of the members of the largest or more."""
+        """Mean and error, from groups with at least half as many as the largest."""
         complete = self.members >= _COMPLETE * max(self.members.max(initial=0), 1)
         counts = np.where(complete[:, None], self.counts, 0)
         mean, error = of_replicates(self.sums / np.maximum(self.counts, 1), counts)
