@@ -435,6 +435,11 @@ def test_blocks_that_are_refused(why):
     with pytest.raises(rk.FieldError, match=why):
         found.add(values, np.array(valid), groups)
     assert found.count == 3  # as before
+    fresh = Statistics(2)
+    with pytest.raises(rk.FieldError):
+        fresh.add({"y": np.zeros(3)}, np.ones(2, bool), np.zeros(2, int))
+    fresh.add(GOOD, np.ones(3, bool), np.zeros(3, int))
+    assert fresh.count == 3  # what was refused left nothing behind
 
 
 def test_questions_that_are_refused():

@@ -80,11 +80,12 @@ class Statistics:
             FieldError: other names, shapes or types than before, or a group that does
                 not exist.
         """
-        if self._totals is None:
-            self._layout = Layout.of(values, self._edges)
-            self._totals = Totals.of_nothing(self._layout, self.group_count)
-        piece = checked_block(self._layout, self.group_count, values, valid, groups)
-        self._settled = None
+        layout, totals = self._layout, self._totals
+        if totals is None:
+            layout = Layout.of(values, self._edges)
+            totals = Totals.of_nothing(layout, self.group_count)
+        piece = checked_block(layout, self.group_count, values, valid, groups)
+        self._layout, self._totals, self._settled = layout, totals, None
         self._waiting.append(piece)
         if sum(len(piece.valid) for piece in self._waiting) < _PIECE:
             return
@@ -92,8 +93,9 @@ class Statistics:
         whole_pieces = len(everything.valid) // _PIECE
         for k in range(whole_pieces):
             part = everything.part(slice(k * _PIECE, (k + 1) * _PIECE))
-            self._totals = self._totals.add(part)
+            totals = totals.add(part)
         rest = everything.part(slice(whole_pieces * _PIECE, None))
+        self._totals = totals
         self._waiting = [Piece(*(array.copy() for array in rest))]
 
     @property
