@@ -47,7 +47,7 @@ class Level(NamedTuple):
     Attributes:
         threshold: Value of the output that is reached [its unit].
         probability: Of reaching it, given the level before [1].
-        relative_error: Of that probability, with the chains' correlation [1].
+        relative_error: Of the probability of reaching it at all [1].
         accepted: Share of the chains' proposals that were accepted [1]; 1 at first.
         motions: That were run for it.
         failed: How many of them failed.
@@ -157,8 +157,8 @@ class RareEvent:
         if self.failed:
             yield f"WARNING: {self.failed} of {self.motions} motions FAILED"
             yield from (f"  {count}: {why}" for why, count in self.reasons.items())
-            yield "  They count as not being the event; if all of them had been, it were"
-            yield f"  up to {self.failed_probability:.3g} more likely"
+            more = self.failed_probability
+            yield f"  They count as not being the event: it is up to {more:.3g} likelier"
         for name, one in (
             ("subset simulation", self.subset),
             ("importance sampling", self.importance),
