@@ -13,6 +13,13 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "ActiveDirections",
+    "FunctionModel",
+    "RareEvent",
+    "SobolIndices",
+    "active_directions",
+    "sobol_indices",
+    "subset_simulation",
     "NormalModes",
     "PeriodicFamily",
     "PeriodicMotion",

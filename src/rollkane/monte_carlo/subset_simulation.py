@@ -95,6 +95,7 @@ def subset_simulation(
         search.importance,
         level,
         tuple(search.runs[0].levels),
+        len(search.runs),
         column_names(model.draws),
         search.likeliest(),
         margin.motions,
@@ -280,7 +281,8 @@ def _levels(
         if stopped:
             none = np.zeros((0, z.shape[1]))
             return _Reached(Estimate(0.0, 0.0), levels, none, 0.0, failed, stopped)
-        seeds = rng.permutation(np.flatnonzero(here.reshape(-1)))[:count]
+        seeds = rng.permutation(np.flatnonzero(here.reshape(-1)))
+        seeds = np.resize(seeds, count)  # some twice where states share few values
         roots = roots[seeds % here.shape[1]]
         before = sum(margin.reasons.values())
         chains = conditional_chains(
