@@ -79,21 +79,19 @@ def conditional_chains(
     return Chains(z, margins, accepted / max(steps - 1, 1), scale)
 
 
-def correlation_factor(reached: np.ndarray) -> float:
-    """How many times the variance of a share grows by the chains' correlation [1].
+def family_share(reached: np.ndarray, families: np.ndarray) -> float:
+    """Sum of squares of the families' shares in states that reach a level [1].
+
+    One over it is how many independent states they are worth, where families are the
+    chains; where they are those of the first, independent states that chains descend
+    from, it is the relative variance of the probability of all levels.
 
     Args:
-        reached: Whether each state reaches the next level, shape (s, m).
+        reached: Whether each state does, shape (s, m).
+        families: Number of each chain's family, shape (m,).
 
-    Source: Au and Beck, Prob. Eng. Mech. 16 (2001), (26) to (29): 1 + gamma.
+    Source: Lee and Whiteley, Biometrika 105 (2018), for particle filters, of which
+    subset simulation is one; here without their terms of order one over all states.
     """
-    steps = len(reached)
-    found = reached.astype(float)
-    p = found.mean()
-    if p in (0.0, 1.0):
-        return 1.0
-    total = 0.0
-    for lag in range(1, steps):
-        shared = (found[:-lag] * found[lag:]).mean() - p * p
-        total += (1.0 - lag / steps) * shared
-    return max(1.0, 1.0 + 2.0 * total / (p * (1.0 - p)))
+    sums = np.bincount(families, weights=reached.sum(axis=0))
+    return float((sums**2).sum() / max(sums.sum(), 1.0) ** 2)

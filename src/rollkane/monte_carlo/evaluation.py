@@ -129,7 +129,7 @@ class FunctionModel:
         values = _by_block(self._batch, u)
         failed = np.zeros(len(u), bool)
         for value in values.values():
-            failed |= np.isnan(value).reshape(len(u), -1).any(axis=1)
+            failed |= np.isnan(value).any(axis=tuple(range(1, value.ndim)))
         return Evaluated(values, np.where(failed, FAILED, Code.COMPLETED))
 
     def reason_of(self, code: int) -> str:

@@ -26,42 +26,49 @@ _STARTS = 3  # of each number of components
 
 
 class Mixture(NamedTuple):
-    """Components by their weights, centres and scales, in d dimensions.
+    """Components in r directions of d; in all others the standard normal density.
 
     Attributes:
         weights: Shape (K,), of sum 1 [1].
-        centres: Shape (K, d) [1].
-        scales: Symmetric positive definite, shape (K, d, d) [1].
+        centres: Shape (K, r) [1].
+        scales: Symmetric positive definite, shape (K, r, r) [1].
+        basis: The directions [1], orthonormal, shape (d, r).
     """
 
     weights: Float[np.ndarray, " K"]
-    centres: Float[np.ndarray, "K d"]
-    scales: Float[np.ndarray, "K d d"]
+    centres: Float[np.ndarray, "K r"]
+    scales: Float[np.ndarray, "K r r"]
+    basis: Float[np.ndarray, "d r"]
 
-    def log_density(self, z: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
-        """Of the t components and the standard normal one [1]."""
-        size = z.shape[1]
-        squares, roots = _distances(self, z)
+    def log_ratio(self, z: Float[np.ndarray, "n d"]) -> Float[np.ndarray, " n"]:
+        """Logarithm of the standard normal density over the mixture's [1].
+
+        No more than that of one over the standard normal component's part.
+        """
+        y = z @ self.basis
+        size = y.shape[1]
+        squares, roots = _distances(self, y)
         half = 0.5 * (_FREEDOM + size)
         constant = gammaln(half) - gammaln(0.5 * _FREEDOM)
         constant -= 0.5 * size * np.log(_FREEDOM * np.pi)
         parts = np.log(self.weights) + constant - roots
         parts = parts - half * np.log1p(squares / _FREEDOM)
-        normal = log_density(z)[:, None]
+        normal = log_density(y)[:, None]
         shares = np.log([1.0 - _DEFENSE] * len(self.weights) + [_DEFENSE])
-        return np.asarray(
-            logsumexp(np.concatenate([parts, normal], axis=1) + shares, axis=1)
-        )
+        every = logsumexp(np.concatenate([parts, normal], axis=1) + shares, axis=1)
+        return normal[:, 0] - np.asarray(every)
 
     def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
         """Samples of it, shape (count, d)."""
-        z = rng.standard_normal((count, self.centres.shape[1]))
+        z = rng.standard_normal((count, len(self.basis)))
+        y = z @ self.basis
         which = rng.choice(len(self.weights), size=count, p=self.weights)
         stretch = np.sqrt(_FREEDOM / rng.chisquare(_FREEDOM, size=count))
         plain = rng.random(count) < _DEFENSE
         roots = np.linalg.cholesky(self.scales)
-        moved = np.einsum("nij,nj->ni", roots[which], z) * stretch[:, None]
-        return np.where(plain[:, None], z, self.centres[which] + moved)
+        moved = np.einsum("nij,nj->ni", roots[which], y) * stretch[:, None]
+        change = np.where(plain[:, None], 0.0, self.centres[which] + moved - y)
+        return z + change @ self.basis.T
 
 
 def _distances(mixture: Mixture, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -93,6 +100,8 @@ def fitted_mixture(
     Source: Kurtz and Song, Structural Safety 42 (2013): cross-entropy-based adaptive
     importance sampling with Gaussian mixtures.
     """
+    basis = _directions(z, weights, effective)
+    z = z @ basis
     size = z.shape[1]
     parameters = 1 + size + size * (size + 1) // 2
     best: tuple[float, Mixture] | None = None
@@ -110,7 +119,22 @@ def fitted_mixture(
             break
         best = float(criterion), mixture
     assert best is not None
-    return best[1]
+    return best[1]._replace(basis=basis)
+
+
+def _directions(z: np.ndarray, weights: np.ndarray, effective: float) -> np.ndarray:
+    """Directions in which samples are not standard normal, shape (d, r), r >= 1.
+
+    Eigenvectors of the second moments whose eigenvalues are not those that as many
+    standard normal samples show (Marchenko and Pastur, Math. USSR Sbornik 1, 1967); of
+    hundreds of numbers, few or one decide, and weights in all of them would drown it.
+    """
+    moments = (z * (weights / weights.sum())[:, None]).T @ z
+    values, vectors = np.linalg.eigh(moments)
+    wide = np.sqrt(z.shape[1] / effective)
+    usual = (values < (1.0 + wide) ** 2) & (values > max(1.0 - wide, 0.0) ** 2)
+    usual[-1] = False
+    return vectors[:, ~usual]
 
 
 def _maximized(
@@ -167,4 +191,4 @@ def _moments(
         cover = (around * (weights * near[:, k])[:, None]).T @ around / mass[k]
         drawn = size / (size + effective * mass[k])
         scales[k] = (1.0 - drawn) * cover + drawn * np.eye(size)
-    return Mixture(mass / mass.sum(), centres, scales)
+    return Mixture(mass / mass.sum(), centres, scales, np.eye(size))

@@ -47,7 +47,7 @@ class Level(NamedTuple):
     Attributes:
         threshold: Value of the output that is reached [its unit].
         probability: Of reaching it, given the level before [1].
-        relative_error: Of that probability, with the chains' correlation [1].
+        relative_error: Of the probability of reaching it at all [1].
         accepted: Share of the chains' proposals that were accepted [1]; 1 at first.
         motions: That were run for it.
         failed: How many of them failed.
@@ -75,7 +75,8 @@ class RareEvent:
         subset: Estimate of subset simulation [1].
         importance: Estimate of importance sampling [1]; None where there was none.
         level: Probability with which ``interval`` covers [1].
-        levels: Those of subset simulation.
+        levels: Those of the first run of subset simulation.
+        runs: Of subset simulation: more than one where importance sampling differed.
         names: Of the standard normal numbers z of what is drawn, shape (d,).
         likeliest: The z of largest density at which the event was seen [1], shape (d,);
             NaN where it was not seen.
@@ -94,6 +95,7 @@ class RareEvent:
     importance: Estimate | None
     level: float
     levels: tuple[Level, ...]
+    runs: int
     names: tuple[str, ...]
     likeliest: Float[np.ndarray, " d"]
     motions: int
@@ -154,11 +156,13 @@ class RareEvent:
         yield f"P({self.of} {sign} {self.threshold:g}) = {self.probability:.4g}"
         yield f"  {100.0 * self.level:g} % interval {low:.4g} to {high:.4g}"
         yield f"  by {self.method} ({self.why}), {self.motions} motions"
+        if self.runs > 1:
+            yield f"  {self.runs} runs of subset simulation; levels are of the first"
         if self.failed:
             yield f"WARNING: {self.failed} of {self.motions} motions FAILED"
             yield from (f"  {count}: {why}" for why, count in self.reasons.items())
-            yield "  They count as not being the event; if all of them had been, it were"
-            yield f"  up to {self.failed_probability:.3g} more likely"
+            more = self.failed_probability
+            yield f"  They count as no event: if they are, add up to {more:.3g}"
         for name, one in (
             ("subset simulation", self.subset),
             ("importance sampling", self.importance),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..validation.checks import FieldError, flag, real, whole
-from .conditional_chains import Chains, conditional_chains, correlation_factor
+from .conditional_chains import Chains, conditional_chains, family_share
 from .evaluation import Model
 from .inputs import share
 from .limit_margin import LimitMargin
@@ -18,6 +18,8 @@ from .standard_normal import column_names, log_density, to_normal
 _KEPT = 10  # a level is what every tenth state reaches
 _MOST_LEVELS = 20
 _CONSISTENT = 3.0  # standard errors that the two estimates may be apart
+_REFITS = 5
+_GOOD = 0.2  # of samples: what they are worth, with which refitting ends
 _FEW = 20  # states that show the event, below which nothing is fitted to them
 
 
@@ -30,7 +32,7 @@ def subset_simulation(
     below: bool = False,
     seed: int = 0,
     level: float = 0.95,
-    precision: float = 0.05,
+    precision: float = 0.03,
     motions: int = 100_000,
 ) -> RareEvent:
     """Probability that an output reaches a threshold, however rarely it does.
@@ -80,38 +82,33 @@ def subset_simulation(
         raise FieldError(f"{field}.precision", precision, "must be positive", remedy)
     most = whole(f"{field}.motions", motions, size, "give at least one level's")
     margin = LimitMargin(model, of, threshold, below)
-    rng = np.random.default_rng([seed, 0x5B5E7])
-    u = sampler("plain", model.draws.dimension, seed, size).uniforms(0, size)
-    reached = _levels(margin, to_normal(u), rng, most)
-    sharper, why = None, reached.stopped
-    if reached.subset.probability:
-        sharper, why = _importance(margin, reached, precision, most, size, rng)
-    used, reason = _chosen(reached.subset, sharper, why)
-    seen = reached.event
-    nearest = seen[np.argmax(log_density(seen))] if len(seen) else u[0] * np.nan
+    search = _Search(margin, model.draws.dimension, size, seed, most)
+    search.run(precision)
+    used, why = search.chosen()
     return RareEvent(
         of,
         threshold,
         below,
         used,
-        reason,
-        reached.subset,
-        sharper,
+        why,
+        search.subset,
+        search.importance,
         level,
-        tuple(reached.levels),
+        tuple(search.runs[0].levels),
+        len(search.runs),
         column_names(model.draws),
-        nearest,
+        search.likeliest(),
         margin.motions,
         dict(margin.reasons),
-        min(reached.failed, 1.0),
+        min(max(run.failed for run in search.runs), 1.0),
     )
 
 
 class _Reached(NamedTuple):
-    """What subset simulation found.
+    """What one run of subset simulation found.
 
     Attributes:
-        subset: Its estimate.
+        estimate: Its probability.
         levels: One after the other.
         event: States that show the event, shape (n, d).
         effective: How many independent ones they stand for.
@@ -119,12 +116,141 @@ class _Reached(NamedTuple):
         stopped: Why it did not come to the event; empty if it did.
     """
 
-    subset: Estimate
+    estimate: Estimate
     levels: list[Level]
     event: np.ndarray
     effective: float
     failed: float
     stopped: str
+
+
+class _Search:
+    """Runs of subset simulation, and importance sampling from what they found.
+
+    Where the two estimates differ by more than their errors, subset simulation is run
+    again and the mixture fitted to the states of all runs: one that missed a part of
+    the event, or an unlucky run, is found out by that.
+    """
+
+    def __init__(
+        self, margin: LimitMargin, dimension: int, size: int, seed: int, most: int
+    ):
+        self.margin, self.size, self.most = margin, size, most
+        self.rng = np.random.default_rng([seed, 0x5B5E7])
+        self.sampler = sampler("plain", dimension, seed, most)
+        self.runs: list[_Reached] = []
+        self.importance: Estimate | None = None
+        self.why = ""
+
+    @property
+    def subset(self) -> Estimate:
+        """The mean of all runs."""
+        found = [run.estimate for run in self.runs]
+        probability = sum(one.probability for one in found) / len(found)
+        error = math.sqrt(sum(one.standard_error**2 for one in found)) / len(found)
+        return Estimate(probability, error)
+
+    @property
+    def left(self) -> int:
+        return self.most - self.margin.motions
+
+    def run(self, precision: float) -> None:
+        """Until both estimates agree, or no motions are left."""
+        while True:
+            first = len(self.runs) * self.size
+            z = to_normal(self.sampler.uniforms(first, self.size))
+            self.runs.append(_levels(self.margin, z, self.rng, self.most))
+            self.why = self.runs[-1].stopped or self._no_fit(precision)
+            if self.why:
+                return
+            self._sharpen(precision)
+            used = sum(level.motions for level in self.runs[0].levels)
+            if self._agree() or self.left < used + 3 * self.size:
+                return
+
+    def _no_fit(self, precision: float) -> str:
+        if self.subset.relative <= precision:
+            return "its error is small enough"
+        if precision >= 1.0 or self.left < 2 * self.size:
+            return "no motions were left for importance sampling"
+        event = self.runs[-1].event
+        if len(event) < max(_FEW, 2 * event.shape[1]):
+            return "too few states show the event for a fit"
+        return ""
+
+    def _sharpen(self, precision: float) -> None:
+        """Importance sampling from a mixture that is fitted again and again.
+
+        First to the states of subset simulation, then to weighted samples of the last
+        mixture, which are independent of each other, until they grow no better; those
+        that are counted are drawn from the final one only. Half of the motions are kept
+        where the two estimates disagree.
+        """
+        mixture = self._fitted()
+        every = np.zeros(0)
+        enough, half = False, self.left // 2
+        while self.left >= self.size and not enough:
+            every = np.concatenate([every, self._weighted(mixture)[1]])
+            error = float(every.std(ddof=1)) / math.sqrt(len(every))
+            self.importance = Estimate(float(every.mean()), error)
+            enough = self.importance.relative <= precision
+            if self.left < half and not self._agree():
+                break
+        self.why = "" if enough else "motions ended before its precision was reached"
+
+    def _fitted(self) -> Mixture:
+        """The mixture whose samples are counted."""
+        event = np.concatenate([run.event for run in self.runs])
+        effective = sum(run.effective for run in self.runs)
+        mixture = fitted_mixture(event, np.ones(len(event)), effective, self.rng)
+        best = 0.0
+        for _ in range(_REFITS):
+            z, weights = self._weighted(mixture)
+            seen = weights > 0.0
+            if seen.sum() < _FEW:
+                break
+            effective = float(weights.sum() ** 2 / (weights**2).sum())
+            if effective < max(_FEW, 1.2 * best):
+                break
+            mixture = fitted_mixture(z[seen], weights[seen], effective, self.rng)
+            best = effective
+            if self.left < 3 * self.size or effective > _GOOD * self.size:
+                break
+        return mixture
+
+    def _weighted(self, mixture: Mixture) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of a mixture, and their weights: zero where it is not the event."""
+        z = mixture.draw(self.size, self.rng)
+        ratio = np.exp(mixture.log_ratio(z))
+        return z, np.where(self.margin(z) >= 0.0, ratio, 0.0)
+
+    def _agree(self) -> bool:
+        """Whether the two estimates are as near as their errors allow."""
+        sharp, plain = self.importance, self.subset
+        if sharp is None or not sharp.probability or not plain.probability:
+            return False
+        apart = abs(math.log(sharp.probability / plain.probability))
+        return apart <= _CONSISTENT * math.hypot(sharp.relative, plain.relative)
+
+    def chosen(self) -> tuple[str, str]:
+        """Which of the two is used, and why."""
+        plain, sharp = "subset simulation", "importance sampling"
+        if self.importance is None:
+            return plain, self.why
+        if not self._agree():
+            problem = "importance sampling differs by more than the errors of both"
+            return plain, problem
+        if self.importance.relative >= self.subset.relative:
+            return plain, "importance sampling has the larger error"
+        good = "it agrees with subset simulation and has the smaller error"
+        return sharp, self.why or good
+
+    def likeliest(self) -> np.ndarray:
+        """The z of largest density at which subset simulation saw the event."""
+        seen = np.concatenate([run.event for run in self.runs])
+        if not len(seen):
+            return np.full(seen.shape[1], np.nan)
+        return seen[np.argmax(log_density(seen))]
 
 
 def _levels(
@@ -134,34 +260,34 @@ def _levels(
     size, count = len(z), len(z) // _KEPT
     margins = margin(z)
     chains = Chains(z[None], margins[None], 1.0, 0.6)
-    probability, failed, levels = 1.0, float(margin.failed.mean()), list[Level]()
     failures = int(margin.failed.sum())
+    roots = np.arange(size)  # of each chain: the first state that it descends from
+    probability, failed, levels = 1.0, failures / size, list[Level]()
     run, last = size, -math.inf
     while True:
         goal = min(_next_level(chains.margin, count, last, margin), 0.0)
         here = chains.margin >= goal
         part = float(here.mean())
-        factor = correlation_factor(here)
-        error = math.sqrt((1.0 - part) / (part * size) * factor) if part else math.inf
+        probability *= part
+        error = math.sqrt(family_share(here, roots)) if part else math.inf
         known = margin.threshold_of(goal)
         levels.append(Level(known, part, error, chains.accepted, run, failures))
-        probability *= part
-        relative = math.sqrt(sum(one.relative_error**2 for one in levels))
-        estimate = Estimate(probability, probability * relative)
         if goal >= 0.0:
-            found = chains.z[here]
-            return _Reached(estimate, levels, found, len(found) / factor, failed, "")
+            found = Estimate(probability, probability * error)
+            worth = 1.0 / family_share(here, roots)
+            return _Reached(found, levels, chains.z[here], worth, failed, "")
         run = size - count
         stopped = _stopped(levels, margin.motions + run > most)
         if stopped:
             none = np.zeros((0, z.shape[1]))
             return _Reached(Estimate(0.0, 0.0), levels, none, 0.0, failed, stopped)
-        seeds = rng.permutation(np.flatnonzero(here.reshape(-1)))[:count]
-        first = chains.z.reshape(size, -1)[seeds]
+        seeds = rng.permutation(np.flatnonzero(here.reshape(-1)))
+        seeds = np.resize(seeds, count)  # some twice where states share few values
+        roots = roots[seeds % here.shape[1]]
         before = sum(margin.reasons.values())
         chains = conditional_chains(
             margin,
-            first,
+            chains.z.reshape(size, -1)[seeds],
             chains.margin.reshape(-1)[seeds],
             goal,
             _KEPT,
@@ -200,69 +326,3 @@ def _next_level(
     problem = "takes too few values to lead to the threshold: most motions share one"
     remedy = "name an output that grows towards the event, such as a margin"
     raise FieldError(field, known, problem, remedy)
-
-
-def _importance(
-    margin: LimitMargin,
-    reached: _Reached,
-    precision: float,
-    most: int,
-    size: int,
-    rng: np.random.Generator,
-) -> tuple[Estimate | None, str]:
-    """Importance sampling from a mixture that is fitted twice.
-
-    First to the states of subset simulation, then to weighted samples of the first
-    mixture, which are independent of each other; those that are counted are drawn from
-    the second one only.
-    """
-    if reached.subset.relative <= precision:
-        return None, "its error is small enough"
-    if precision >= 1.0 or margin.motions + 2 * size > most:
-        return None, "no motions were left for importance sampling"
-    if len(reached.event) < max(_FEW, 2 * reached.event.shape[1]):
-        return None, "too few states show the event for a fit"
-    ones = np.ones(len(reached.event))
-    mixture = fitted_mixture(reached.event, ones, reached.effective, rng)
-    z, weights = _weighted(margin, mixture, size, rng)
-    seen = weights > 0.0
-    if seen.any():
-        total, squares = weights.sum(), float((weights**2).sum())
-        effective = float(total**2 / squares)
-        if effective > max(_FEW, 2 * z.shape[1]):
-            mixture = fitted_mixture(z[seen], weights[seen], effective, rng)
-    every = np.zeros(0)
-    while margin.motions + size <= most:
-        every = np.concatenate([every, _weighted(margin, mixture, size, rng)[1]])
-        error = float(every.std(ddof=1)) / math.sqrt(len(every))
-        found = Estimate(float(every.mean()), error)
-        if found.relative <= precision:
-            return found, ""
-    return Estimate(
-        float(every.mean()), float(every.std(ddof=1) / len(every) ** 0.5)
-    ), ("motions ended before its precision was reached")
-
-
-def _weighted(
-    margin: LimitMargin, mixture: Mixture, count: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """Samples of a mixture, and their weights: zero where it is not the event."""
-    z = mixture.draw(count, rng)
-    ratio = np.exp(log_density(z) - mixture.log_density(z))
-    return z, np.where(margin(z) >= 0.0, ratio, 0.0)
-
-
-def _chosen(subset: Estimate, importance: Estimate | None, why: str) -> tuple[str, str]:
-    """Which of the two is used, and why."""
-    plain, sharp = "subset simulation", "importance sampling"
-    if importance is None:
-        return plain, why
-    apart = math.inf
-    if importance.probability:
-        apart = abs(math.log(importance.probability / subset.probability))
-    allowed = _CONSISTENT * math.hypot(importance.relative, subset.relative)
-    if apart > allowed:
-        return plain, "importance sampling differs by more than the errors of both"
-    if importance.relative >= subset.relative:
-        return plain, "importance sampling has the larger error"
-    return sharp, why or "it agrees with subset simulation and has the smaller error"
