@@ -21,7 +21,7 @@ FOLDERS = [
     "stability",
     "studies",
     "files",
-    "monte_carlo",
+    "uncertainty",
     "pictures",
     "cli",
 ]

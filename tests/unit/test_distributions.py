@@ -11,8 +11,8 @@ import scipy.stats
 
 import rollkane as rk
 from rollkane.geometry.rotations import multiply, rotation_matrix
-from rollkane.monte_carlo.draws import Draws, flat
-from rollkane.monte_carlo.normal_tails import log_normal_cdf, lower_quantile
+from rollkane.uncertainty.draws import Draws, flat
+from rollkane.uncertainty.normal_tails import log_normal_cdf, lower_quantile
 
 COUNT = 4096
 EPS = np.finfo(float).eps

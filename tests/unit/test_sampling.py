@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 import rollkane as rk
-from rollkane.monte_carlo.sampling import KINDS, SETS, sampler
+from rollkane.uncertainty.sampling import KINDS, SETS, sampler
 
 SIZE = 1024
 # Of tests at seeds that were not chosen: they fail for one seed in ten thousand.

@@ -259,10 +259,11 @@ def read_study(path: str | os.PathLike[str], verify: bool = True) -> MonteCarlo:
 
     Args:
         path: The store's folder.
-        verify: Whether blocks are checked against their checksums.
+        verify: Whether blocks are checked against their checksums
 
     Returns:
-        Statistics of all blocks that are there; ``note`` says of those that are not.
+        Statistics of all blocks that are there [unit of each observable]; ``note``
+        says of those that are not.
 
     Raises:
         StoreError: no store of a study.
