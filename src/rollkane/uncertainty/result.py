@@ -259,7 +259,7 @@ def read_study(path: str | os.PathLike[str], verify: bool = True) -> MonteCarlo:
 
     Args:
         path: The store's folder.
-        verify: Whether blocks are checked against their checksums
+        verify: Whether blocks are checked against their checksums.
 
     Returns:
         Statistics of all blocks that are there [unit of each observable]; ``note``
