@@ -81,7 +81,7 @@ class UnitRuns:
                 observable that gives no real numbers.
         """
         self.study = study
-        self.made = MadeMembers(study.make, study.draws)
+        self.made = MadeMembers(study.make, study.draws, study.times[0])
         self.unit = _IN_LANES
         self._run = self._runs_of(_IN_LANES)
         if self._run.lanes is None:
@@ -90,6 +90,8 @@ class UnitRuns:
         self.method = self.why = ""
         self.fields = self._run.fields
         self._shapes = self._observed_shapes()
+        observables = *study.observe.values(), *study.series.values()
+        self.made.check([*observables, *study.events, *study.stop])
         self.columns = self._columns()
         self._units: OrderedDict[int, _Unit] = OrderedDict()
         self._lock = threading.Lock()
