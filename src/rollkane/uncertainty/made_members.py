@@ -45,7 +45,7 @@ class MadeMembers:
         self._leaves, self._tree = _flat(self.scene, self.start)
         self._own = self._reached(middle)
         self._scenes = len(jax.tree.leaves(self.scene))
-        self._made = jax.jit(jax.vmap(self._of_own))
+        self._made: Any = jax.jit(jax.vmap(self._of_own))
 
     def members(self, size: int) -> Members:
         """As an ensemble takes them, with the middle draw in every place."""
