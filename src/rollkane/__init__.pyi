@@ -83,9 +83,11 @@ from .kinematics.voronets import VoronetsState as VoronetsState
 from .monte_carlo.active_directions import ActiveDirections as ActiveDirections
 from .monte_carlo.active_directions import active_directions as active_directions
 from .monte_carlo.evaluation import FunctionModel as FunctionModel
+from .monte_carlo.precision import Precision as Precision
 from .monte_carlo.rare_event import RareEvent as RareEvent
 from .monte_carlo.sobol_indices import sobol_indices as sobol_indices
 from .monte_carlo.sobol_result import SobolIndices as SobolIndices
+from .monte_carlo.statistics import Statistics as Statistics
 from .monte_carlo.subset_simulation import subset_simulation as subset_simulation
 from .paper.conversions import to_pole_free as to_pole_free
 from .paper.conversions import to_voronets as to_voronets

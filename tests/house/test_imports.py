@@ -29,6 +29,8 @@ FOLDERS = [
 METHODS = {
     ("identification.sensitivity", "files.sensitivity_dataset"),
     ("identification.sensitivity", "pictures.plot_sensitivity"),
+    ("simulation.ensemble_result", "files.export_ensemble"),
+    ("simulation.ensemble_result", "pictures.plot_ensemble"),
     ("simulation.trajectory", "files.export"),
     ("simulation.trajectory", "pictures.plotting"),
     ("simulation.trajectory", "pictures.viewer"),

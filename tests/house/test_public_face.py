@@ -131,6 +131,8 @@ NAMES = {
     "State",
     "Torus",
     "Trajectory",
+    "Precision",
+    "Statistics",
     "place",
     "rolling_derivative",
     "simulate",

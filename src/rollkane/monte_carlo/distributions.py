@@ -11,13 +11,20 @@ from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.special import ndtri
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..identification.transforms import entries
-from ..validation.checks import FieldError, is_traced, real, refuse
+from ..validation.checks import positive
+from .distribution_checks import (
+    alike,
+    described,
+    inside,
+    log_share,
+    ordered,
+    refuse_negative,
+)
 from .normal_tails import log_normal_cdf, normal_quantile
 
 Drawn: TypeAlias = Any  # an array, or a dict of them
@@ -148,6 +155,65 @@ class Normal(AbstractContinuous):
         return described(self, "mean", "std")
 
 
+class LogNormal(AbstractContinuous):
+    """Positive numbers whose logarithms are normal, independent of each other.
+
+    Attributes:
+        median: [unit of what it draws].
+        sigma: Standard deviation of the logarithm [1], of the median's shape.
+    """
+
+    median: Float[Array, "*shape"]
+    sigma: Float[Array, "*shape"]
+
+    def __init__(self, median: ArrayLike, sigma: ArrayLike):
+        """Make the distribution.
+
+        Args:
+            median: Positive, a number or an array of any shape [unit of what it draws].
+            sigma: Standard deviation of the natural logarithm [1]: for small ones the
+                relative deviation.
+
+        Raises:
+            FieldError: a median that is not positive, a negative deviation, numbers
+                that are not finite, shapes that do not fit.
+        """
+        self.median, self.sigma = alike("LogNormal", median=median, sigma=sigma)
+        shape = self.median.shape
+        self.median = positive("LogNormal.median", self.median, shape, "a number")
+        self.sigma = refuse_negative("LogNormal.sigma", self.sigma)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a draw."""
+        return self.median.shape
+
+    def draw(self, u: Float[Array, " size"]) -> Float[Array, "*shape"]:
+        """``median exp(sigma Phi^-1(u))``."""
+        return self._of(ndtri(inside(u).reshape(self.shape)))
+
+    def quantile(
+        self, log_cdf: Float[Array, "*n"], log_survival: Float[Array, "*n"]
+    ) -> Float[Array, "*n"]:
+        """``median exp(sigma z)``."""
+        return self._of(normal_quantile(log_cdf, log_survival))
+
+    def _of(self, z: Array) -> Array:
+        return self.median.astype(z.dtype) * jnp.exp(self.sigma.astype(z.dtype) * z)
+
+    def log_tails(self, x: Float[Array, "*n"]) -> tuple[Array, Array]:
+        """Of the standard normal distribution, at ``log(x / median) / sigma``."""
+        some = x > 0.0
+        share = jnp.where(some, x, 1.0) / self.median.astype(x.dtype)
+        z = jnp.log(share) / self.sigma.astype(x.dtype)
+        below = jnp.where(some, log_normal_cdf(z), -jnp.inf)
+        return below, jnp.where(some, log_normal_cdf(-z), 0.0)
+
+    def spec(self) -> dict[str, Any]:
+        """Kind and numbers."""
+        return described(self, "median", "sigma")
+
+
 class Uniform(AbstractContinuous):
     """Uniform numbers, independent of each other.
 
@@ -237,77 +303,3 @@ class UniformOrientation(AbstractDistribution):
     def spec(self) -> dict[str, Any]:
         """Kind."""
         return described(self)
-
-
-def inside(u: ArrayLike) -> Array:
-    """Uniform numbers as floating ones strictly inside of (0, 1).
-
-    Those of double precision that single precision would round to 0 or 1 stay inside.
-    """
-    known = jnp.asarray(u)
-    if not jnp.issubdtype(known.dtype, jnp.floating):
-        known = known.astype(jnp.result_type(float))
-    numbers = jnp.finfo(known.dtype)
-    return jnp.clip(known, float(numbers.tiny), 1.0 - 0.5 * float(numbers.eps))
-
-
-def numbers(field: str, value: Any) -> Array:
-    """A number, or an array of any shape.
-
-    Raises:
-        FieldError: it is not made of finite numbers.
-    """
-    try:
-        shape = jnp.asarray(value).shape if is_traced(value) else np.shape(value)
-    except (TypeError, ValueError):
-        shape = ()
-    return real(field, value, shape, "a number, or an array of them")
-
-
-def alike(kind: str, **values: Any) -> list[Array]:
-    """Numbers of one shape: those of all entries are repeated.
-
-    Args:
-        kind: Distribution that is made.
-        values: By argument.
-
-    Raises:
-        FieldError: not finite numbers, shapes that do not fit each other.
-    """
-    found = {name: numbers(f"{kind}.{name}", value) for name, value in values.items()}
-    shapes = {name: array.shape for name, array in found.items()}
-    try:
-        shape = np.broadcast_shapes(*shapes.values())
-    except ValueError as error:
-        remedy = "give numbers for all entries, or arrays of one shape"
-        problem = "have shapes that do not fit each other"
-        raise FieldError(kind, shapes, problem, remedy) from error
-    return [jnp.broadcast_to(array, shape) for array in found.values()]
-
-
-def refuse_negative(field: str, array: Array) -> Array:
-    """The array, unless an entry is below zero."""
-    remedy = "give 0 or more"
-    return refuse(array, lambda x: ~(x >= 0), field, "must not be negative", remedy)
-
-
-def ordered(field: str, low: Array, high: Array) -> Array:
-    """The lower ends, unless one is not below its upper end."""
-    if is_traced(low, high):
-        return refuse(low, ~(low < high), field, "", "")
-    remedy = f"give less than the upper end, {np.asarray(high).tolist()}"
-    bad = ~(np.asarray(low) < np.asarray(high))
-    return refuse(low, bad, field, "must be below the upper end", remedy)
-
-
-def log_share(share: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Logarithm of a share of a whole: -inf below 0, and 0 beyond 1."""
-    some = share > 0.0
-    known = jnp.log(jnp.clip(jnp.where(some, share, 1.0), None, 1.0))
-    return jnp.where(some, known, -jnp.inf)
-
-
-def described(distribution: AbstractDistribution, *names: str) -> dict[str, Any]:
-    """Kind and named numbers, as JSON has them."""
-    held = {n: np.asarray(getattr(distribution, n)).tolist() for n in names}
-    return {"kind": type(distribution).__name__, **held}

@@ -1,7 +1,5 @@
 """The normal distribution by logarithms of its probabilities, right in far tails."""
 
-from typing import cast
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +26,9 @@ def log_normal_cdf(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     Source: Abramowitz and Stegun, 26.2.12, where Phi has no floating number.
     """
     far = _FAR[x.dtype.itemsize]
-    near = jnp.log(ndtr(jnp.maximum(x, far)))
+    # of both sides the smaller probability, which has no digits cancelled
+    small = ndtr(jnp.maximum(-jnp.abs(x), far))
+    near = jnp.where(x > 0.0, jnp.log1p(-small), jnp.log(small))
     beyond = jnp.minimum(x, far)
     inverse = 1.0 / (beyond * beyond)
     term, series = jnp.ones_like(x), jnp.ones_like(x)
@@ -42,7 +42,7 @@ def log_normal_cdf(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
 @log_normal_cdf.defjvp
 def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     (x,), (dx,) = primals, tangents
-    value = cast(Array, log_normal_cdf(x))
+    value = log_normal_cdf(x)
     return value, jnp.exp(_log_density(x) - value) * dx
 
 
@@ -63,7 +63,7 @@ def lower_quantile(logarithm: Float[Array, "*n"]) -> Float[Array, "*n"]:
     far = -jnp.sqrt(size - jnp.log(2.0 * jnp.pi * size))
     x = jnp.where(goal > least, ndtri(jnp.exp(jnp.maximum(goal, least))), far)
     for _ in range(_NEWTON):
-        value = cast(Array, log_normal_cdf(x))
+        value = log_normal_cdf(x)
         x = x - (value - goal) * jnp.exp(value - _log_density(x))
     return jnp.where(known, x, -jnp.inf)
 
@@ -71,7 +71,7 @@ def lower_quantile(logarithm: Float[Array, "*n"]) -> Float[Array, "*n"]:
 @lower_quantile.defjvp
 def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     (logarithm,), (change,) = primals, tangents
-    x = cast(Array, lower_quantile(logarithm))
+    x = lower_quantile(logarithm)
     known = jnp.isfinite(x)
     at = jnp.where(known, x, 0.0)
     slope = jnp.exp(jnp.where(known, logarithm, 0.0) - _log_density(at))
@@ -88,5 +88,5 @@ def normal_quantile(
         log_survival: ``log (1 - p)``.
     """
     small = jnp.minimum(log_cdf, log_survival)
-    x = cast(Array, lower_quantile(small))
+    x = lower_quantile(small)
     return jnp.where(log_cdf <= log_survival, x, -x)

@@ -261,7 +261,7 @@ def _balanced(size: int) -> int:
 
 def _engine_type() -> Any:
     try:
-        from scipy.stats import qmc
+        from scipy.stats import qmc  # pyright: ignore[reportMissingTypeStubs]
     except ImportError as error:
         raise ImportError(
             "Sobol samples need scipy: pip install 'rollkane[study]'"
