@@ -70,13 +70,11 @@ class Mixture(NamedTuple):
 
 def _distances(mixture: Mixture, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared distances from each centre, shape (n, K); log of the scales' roots."""
-    squares = np.empty((len(z), len(mixture.weights)))
-    roots = np.empty(len(mixture.weights))
-    for k, scale in enumerate(mixture.scales):
-        root = np.asarray(np.linalg.cholesky(scale))
-        squares[:, k] = (np.linalg.solve(root, (z - mixture.centres[k]).T) ** 2).sum(0)
-        roots[k] = np.log(np.diag(root)).sum()
-    return squares, roots
+    factors = np.linalg.cholesky(mixture.scales)
+    around = z - mixture.centres[:, None]
+    turned = np.linalg.solve(factors, np.swapaxes(around, 1, 2))
+    roots = np.log(np.einsum("kii->ki", factors)).sum(axis=1)
+    return (turned**2).sum(axis=1).T, roots
 
 
 def fitted_mixture(

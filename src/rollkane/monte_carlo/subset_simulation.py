@@ -252,8 +252,8 @@ class _Search:
         """The z of largest density at which subset simulation saw the event."""
         seen = np.concatenate([run.event for run in self.runs])
         if not len(seen):
-            return np.full(seen.shape[1], np.nan)
-        return np.asarray(seen[np.argmax(log_density(seen))])
+            return np.full(seen.shape[1:], np.nan)
+        return seen[int(np.argmax(log_density(seen)))]
 
 
 def _levels(
