@@ -162,8 +162,11 @@ class _Search:
         while True:
             first = len(self.runs) * self.size
             z = to_normal(self.sampler.uniforms(first, self.size))
-            self.runs.append(_levels(self.margin, z, self.rng, self.most))
-            self.why = self.runs[-1].stopped or self._no_fit(precision)
+            reached = _levels(self.margin, z, self.rng, self.most)
+            if self.runs and reached.stopped:
+                return
+            self.runs.append(reached)
+            self.why = reached.stopped or self._no_fit(precision)
             if self.why:
                 return
             self._sharpen(precision)
