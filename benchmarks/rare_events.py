@@ -26,7 +26,6 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 import rollkane as rk
-from rollkane.monte_carlo.distributions import Normal
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -37,7 +36,7 @@ jax.config.update("jax_enable_x64", True)
 
 def normal_model(function, count):
     """A function of so many standard normal numbers."""
-    normals = {"z": Normal(np.zeros(count), 1.0)}
+    normals = {"z": rk.Normal(np.zeros(count), 1.0)}
     return rk.FunctionModel(lambda drawn: function(drawn["z"]), normals)
 
 

@@ -26,7 +26,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import rollkane as rk
-from rollkane.monte_carlo.distributions import Uniform
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -58,7 +57,7 @@ print(json.dumps({"version": importlib.metadata.version("SALib"), "found": found
 
 def ishigami():
     """Model, its indices."""
-    ranges = {name: Uniform(-np.pi, np.pi) for name in "xyz"}
+    ranges = {name: rk.Uniform(-np.pi, np.pi) for name in "xyz"}
 
     def output(drawn):
         x, y, z = drawn["x"], drawn["y"], drawn["z"]

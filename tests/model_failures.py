@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from rollkane.monte_carlo.evaluation import Evaluated
+from rollkane.uncertainty.evaluation import Evaluated
 
 
 class Failing:

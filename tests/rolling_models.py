@@ -9,9 +9,9 @@ from scipy.special import ndtr
 import rollkane as rk
 from rollkane.dynamics.observables import normal_force
 from rollkane.dynamics.rolling import contact_of
-from rollkane.monte_carlo.distributions import Normal, Uniform
-from rollkane.monte_carlo.draws import Draws
-from rollkane.monte_carlo.evaluation import Evaluated
+from rollkane.uncertainty.distributions import Normal, Uniform
+from rollkane.uncertainty.draws import Draws
+from rollkane.uncertainty.evaluation import Evaluated
 
 GRAVITY = 9.81
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -13,6 +13,17 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "VonMisesFisher",
+    "LogNormal",
+    "Normal",
+    "Uniform",
+    "UniformOrientation",
+    "Empirical",
+    "FitCovariance",
+    "InertiaPerturbation",
+    "Correlated",
+    "MultivariateNormal",
+    "Truncated",
     "ActiveDirections",
     "FunctionModel",
     "RareEvent",
@@ -131,8 +142,15 @@ NAMES = {
     "State",
     "Torus",
     "Trajectory",
+    "Evaluated",
+    "MonteCarlo",
     "Precision",
     "Statistics",
+    "StoreError",
+    "Study",
+    "load_study",
+    "monte_carlo",
+    "read_study",
     "place",
     "rolling_derivative",
     "simulate",
@@ -176,7 +194,7 @@ def test_importing_changes_no_setting():
 
 
 WITHOUT_UNITS = ("Plane", "Rolling", "RubberRolling", "Slipping", "Scene", "Base")
-WITHOUT_UNITS += ("Code", "FieldError", "Keeping", "Mode")
+WITHOUT_UNITS += ("Code", "FieldError", "StoreError", "Keeping", "Mode")
 KANE = {
     name
     for name, thing in vars(rk.kane).items()

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.monte_carlo.distributions import Normal
-from rollkane.monte_carlo.evaluation import FunctionModel, Slopes
+from rollkane.uncertainty.distributions import Normal
+from rollkane.uncertainty.evaluation import FunctionModel, Slopes
 
 from .test_sobol_indices import MODEL, TOTAL
 

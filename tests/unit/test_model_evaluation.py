@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.monte_carlo.distributions import Normal, Uniform
-from rollkane.monte_carlo.evaluation import entry, failures
-from rollkane.monte_carlo.standard_normal import slopes_by_normal, to_normal, to_uniform
+from rollkane.uncertainty.distributions import Normal, Uniform
+from rollkane.uncertainty.evaluation import entry, failures
+from rollkane.uncertainty.standard_normal import slopes_by_normal, to_normal, to_uniform
 
 DRAWS = {"a": Uniform(1.0, 3.0), "b": Normal([0.0, 0.0], 1.0)}
 

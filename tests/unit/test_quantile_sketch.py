@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rollkane.monte_carlo.intervals import quantile_ranks
-from rollkane.monte_carlo.quantile_sketch import QuantileSketch
+from rollkane.uncertainty.intervals import quantile_ranks
+from rollkane.uncertainty.quantile_sketch import GroupedSketch, QuantileSketch
 
 COUNT = 50_000
 RNG = np.random.default_rng(3)
@@ -101,12 +101,34 @@ def test_two_merged_are_one_of_all_values():
     values = ORDERS["random"]
     both = fed(values[:20_100], 64).merge(fed(values[20_100:], 64))
     assert both.count == COUNT
-    assert (both.lowest, both.highest) == (0.0, COUNT - 1.0)
+    assert both.extremes == (0.0, COUNT - 1.0)
     for q in (0.01, 0.5, 0.9):
         value, *_ = both.quantile(q)
         wanted = np.ceil(q * COUNT)
         assert np.sum(values <= value) >= wanted - both.above
         assert np.sum(values < value) <= wanted - 1 + both.below
+
+
+def test_groups_in_sketches_of_their_own():
+    values, groups = ORDERS["random"], RNG.integers(0, 5, COUNT)
+    whole = GroupedSketch.of_nothing(5, 64).add(values, groups)
+    parts = GroupedSketch.of_nothing(5, 64)
+    for where in np.split(np.arange(COUNT), [7, 400, 30_000]):
+        parts = parts.add(values[where], groups[where])
+    alone = [fed(values[groups == k], 64) for k in range(5)]
+    assert whole.count == COUNT
+    assert whole.above == sum(sketch.above for sketch in alone)
+    for q in (0.001, 0.3, 0.5, 0.999):
+        value, low, high = whole.quantile(q)
+        assert parts.quantile(q) == (value, low, high)
+        wanted = np.ceil(q * COUNT)
+        assert np.sum(values <= value) >= wanted - whole.above
+        assert np.sum(values < value) <= wanted - 1 + whole.below
+        assert low <= q * COUNT <= high  # the values are the ranks
+    share = alone[2].share_below(12_345.0)
+    exact = np.mean(values[groups == 2] <= 12_345.0)
+    error = max(alone[2].above, alone[2].below) / alone[2].count
+    assert abs(share - exact) <= error
 
 
 def test_none_and_too_few():

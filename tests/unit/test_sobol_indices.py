@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.monte_carlo.distributions import Normal, Uniform, UniformOrientation
-from rollkane.monte_carlo.evaluation import FunctionModel
-from rollkane.monte_carlo.sobol_estimates import Design, bound_sums, index_bounds
+from rollkane.uncertainty.distributions import Normal, Uniform, UniformOrientation
+from rollkane.uncertainty.evaluation import FunctionModel
+from rollkane.uncertainty.sobol_estimates import Design, bound_sums, index_bounds
 
 from ..model_failures import Failing
 from ..rolling_models import Inclined

@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 
 import rollkane as rk
-from rollkane.monte_carlo.intervals import mean_half_width, probability_interval
-from rollkane.monte_carlo.statistics import Statistics
-from rollkane.monte_carlo.statistics_summary import summary
+from rollkane.uncertainty.intervals import mean_half_width, probability_interval
+from rollkane.uncertainty.statistics import Statistics
+from rollkane.uncertainty.statistics_summary import summary
 
 COUNT = 20_000
 EPS = np.finfo(float).eps
@@ -241,6 +241,28 @@ def test_means_over_groups():
     assert high - low < 0.03 * (plain[1] - plain[0])
 
 
+def test_quantiles_over_groups():
+    """The ranks of Student's interval for the share of members below."""
+    u, groups = groups_of(8, 100, np.random.default_rng(4))
+    good, x, n = np.ones(800, bool), np.exp(u), 800
+    value, low, high = fed({"x": x}, good, groups, 8).quantile("x", 0.3004)
+    ordered = np.sort(x)
+    assert value == ordered[int(np.ceil(0.3004 * n)) - 1]
+    shares = (x <= value).reshape(8, 100).mean(axis=1)
+    half = n * mean_half_width(shares.std(ddof=1), 8, 0.95)
+    assert low == ordered[int(np.floor(0.3004 * n - half)) - 1]
+    assert high == ordered[int(np.ceil(0.3004 * n + half))]
+    plain = fed({"x": x}, good).quantile("x", 0.3004)
+    # shares of 30 or 31 of 100 strata: half a width of 1 + 2.4 800 0.005 / sqrt(8),
+    # 4.4 ranks, at most, where the binomial distribution has 26
+    assert high - low < 0.2 * (plain[2] - plain[1])
+    # 20 members beyond, and groups of which each has 50 of 100 below: as plain ones
+    for q in (0.025, 0.5):
+        assert fed({"x": x}, good, groups, 8).quantile("x", q) == fed(
+            {"x": x}, good
+        ).quantile("x", q)
+
+
 def test_groups_that_are_not_complete_are_left_out_of_intervals():
     u, groups = groups_of(4, 64, np.random.default_rng(4))
     cut = 3 * 64 + 31
@@ -413,6 +435,11 @@ def test_blocks_that_are_refused(why):
     with pytest.raises(rk.FieldError, match=why):
         found.add(values, np.array(valid), groups)
     assert found.count == 3  # as before
+    fresh = Statistics(2)
+    with pytest.raises(rk.FieldError):
+        fresh.add({"y": np.zeros(3)}, np.ones(2, bool), np.zeros(2, int))
+    fresh.add(GOOD, np.ones(3, bool), np.zeros(3, int))
+    assert fresh.count == 3  # what was refused left nothing behind
 
 
 def test_questions_that_are_refused():
@@ -513,13 +540,14 @@ def test_coverage_of_intervals_more_often():
 
 def covered_over_groups(repeats, seed):
     """The same over 12 stratified groups of 64."""
-    rng, inside = np.random.default_rng(seed), {"x": 0, "p": 0}
-    true = {"x": np.e - 1.0, "p": 0.3}
+    rng, inside = np.random.default_rng(seed), {"x": 0, "p": 0, "q": 0}
+    true = {"x": np.e - 1.0, "p": 0.3, "q": np.exp(0.3)}
     for _ in range(repeats):
         u, groups = groups_of(12, 64, rng)
         found = fed({"x": np.exp(u), "p": u < 0.3}, np.ones(u.size, bool), groups, 12)
         for name in true:
-            low, high = found.interval(name)
+            ends = found.quantile("x", 0.3)[1:] if name == "q" else found.interval(name)
+            low, high = ends
             inside[name] += bool(low <= true[name] <= high)
     return inside
 
@@ -529,6 +557,8 @@ def test_coverage_over_groups():
     assert 90 <= inside["x"] <= 99
     # 0.3 cuts one of 64 strata: 19 or 20 of 64, a share that takes two values only
     assert inside["p"] >= 85
+    # and the ranks of the quantile's interval are drawn out to whole ones
+    assert inside["q"] >= 90
 
 
 def test_the_summary_is_json():

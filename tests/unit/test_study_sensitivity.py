@@ -6,7 +6,6 @@ import pytest
 from scipy.special import ndtr
 
 import rollkane as rk
-from rollkane.monte_carlo.study import Study
 
 from ..rolling_models import GRAVITY, Inclined
 
@@ -16,7 +15,7 @@ BALL = Inclined()
 @pytest.fixture(scope="module")
 def study():
     """Where a ball on an inclined plane has come to."""
-    return Study(
+    return rk.Study(
         BALL.member,
         BALL.draws.distributions,
         (0.0, BALL.duration),

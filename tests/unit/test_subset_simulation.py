@@ -8,10 +8,10 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 import rollkane as rk
-from rollkane.monte_carlo.conditional_chains import conditional_chains, family_share
-from rollkane.monte_carlo.distributions import Normal, Uniform
-from rollkane.monte_carlo.evaluation import FunctionModel
-from rollkane.monte_carlo.proposal_mixture import fitted_mixture
+from rollkane.uncertainty.conditional_chains import conditional_chains, family_share
+from rollkane.uncertainty.distributions import Normal, Uniform
+from rollkane.uncertainty.evaluation import FunctionModel
+from rollkane.uncertainty.proposal_mixture import fitted_mixture
 
 from ..model_failures import Failing
 from ..rolling_models import Hump
@@ -126,7 +126,7 @@ def test_subset_simulation_alone():
 
 def test_a_second_run_where_the_two_differ(monkeypatch):
     """Where next to nothing is allowed, every pair of estimates differs."""
-    from rollkane.monte_carlo import subset_simulation as module
+    from rollkane.uncertainty import subset_simulation as module
 
     monkeypatch.setattr(module, "_CONSISTENT", 1e-6)
     found = rk.subset_simulation(linear(2), "value", 4.0, motions=40_000, seed=1)

@@ -99,8 +99,8 @@ def show(ctx: click.Context, store: str, as_json: bool, plot: str | None) -> Non
     targets = {} if plot is None else {"plot": Path(plot)}
     check_targets(targets, store)
 
-    from ..monte_carlo.result import read_study
-    from ..monte_carlo.store import StoreError
+    from ..uncertainty.result import read_study
+    from ..uncertainty.store import StoreError
     from ..validation.checks import FieldError
 
     try:
@@ -148,7 +148,7 @@ def _precisions(given: tuple[str, ...]) -> dict[str, float]:
 
 def _loaded(ctx: click.Context, study: str) -> Any:
     from ..files.scene_files import SceneFileError
-    from ..monte_carlo.study_file import load_study
+    from ..uncertainty.study_file import load_study
 
     try:
         return load_study(study)
@@ -171,9 +171,9 @@ def _run(
     options: dict[str, Any],
 ) -> Any:
     """The study's result, or a sentence and the end of the command."""
-    from ..monte_carlo.monte_carlo import monte_carlo as run
-    from ..monte_carlo.precision import Precision
-    from ..monte_carlo.store import StoreError
+    from ..uncertainty.monte_carlo import monte_carlo as run
+    from ..uncertainty.precision import Precision
+    from ..uncertainty.store import StoreError
     from ..validation.checks import FieldError
 
     processes, cluster = options.pop("processes"), options.pop("cluster")

@@ -79,10 +79,13 @@ def figure_ensemble(
     figure = drawn[kind](ensemble, shown(ensemble, of, at_end=kind != "fan"))
     outcomes = _outcomes(ensemble)
     counts = ", ".join(f"{np.sum(flags):,} {name}" for name, flags in outcomes.items())
-    lines = [title] if title else []
-    if kind == "fan" or len(outcomes) == 1:
-        lines.append(f"{len(ensemble.code):,} members: {counts}")
-    figure.suptitle("\n".join(lines), fontsize=11, color=INK, parse_math=False)
+    alone = f"{len(ensemble.code):,} members, {next(iter(outcomes))}"
+    below = [counts if len(outcomes) > 1 else alone]
+    if kind != "fan" and len(outcomes) > 1:
+        below = []  # the legend says it
+    lines = ([title] if title else []) + below
+    if lines:
+        figure.suptitle("\n".join(lines), fontsize=11, color=INK, parse_math=False)
     return figure
 
 
@@ -149,14 +152,26 @@ def shown(ensemble: Ensemble, of: str | Callable[..., Any], at_end: bool) -> Sho
 
 def _fan(ensemble: Ensemble, seen: Shown) -> "Figure":
     count = min(len(seen.labels), _MOST_PANELS)
-    figure = new_figure((8.0, 0.8 + 2.2 * count))
-    panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     time = np.asarray(ensemble.time, dtype=float)
-    for k, panel in enumerate(panels):
+    under_way = np.isfinite(seen.values).all(axis=-1).sum(axis=0)
+    fewer = bool((under_way < len(seen.values)).any())
+    figure = new_figure((8.0, 0.8 + 2.2 * count + 1.2 * fewer))
+    heights = [1.0] * count + [0.5] * fewer
+    rows = count + fewer
+    panels = figure.subplots(
+        rows, 1, sharex=True, squeeze=False, height_ratios=heights
+    )[:, 0]
+    if fewer:
+        panels[-1].fill_between(time, under_way, color=GREEN, alpha=0.3, lw=0)
+        panels[-1].set_ylim(0.0, 1.05 * len(seen.values))
+        panels[-1].set_ylabel("members\nunder way")
+        dress(panels[-1])
+    for k, panel in enumerate(panels[:count]):
         values = seen.values[:, :, k]
         for low, high, opacity in _BANDS:
             bounds = quantiles(values, (low, high))
             share = f"{100.0 * (high - low):.0f} % of the members"
+            share += " under way" if fewer else ""
             panel.fill_between(
                 *(time, *bounds), color=BLUE, alpha=opacity, lw=0, label=share
             )
@@ -218,15 +233,14 @@ def _histograms(ensemble: Ensemble, seen: Shown) -> "Figure":
 
 
 def _bins(values: np.ndarray) -> np.ndarray:
-    """Edges of bins, as wide as Freedman and Diaconis have them, within limits."""
+    """Edges of bins: of Freedman and Diaconis' width, or more (Rice's 2 n^(1/3))."""
     if not values.size or np.ptp(values) == 0.0:
         return np.linspace(*limits(values, 0.0), 2)
-    spread = float(np.subtract(*np.quantile(values, (0.75, 0.25))))
-    width = 2.0 * spread / values.size ** (1.0 / 3.0)
-    span = float(np.ptp(values))
-    count = span / width if width * _MOST_BINS > span else _MOST_BINS
     low, high = float(values.min()), float(values.max())
-    return np.linspace(low, high, max(round(count), 1) + 1)
+    few = 2.0 * values.size ** (1.0 / 3.0)
+    spread = float(np.subtract(*np.quantile(values, (0.75, 0.25))))
+    count = 0.5 * few * (high - low) / max(spread, (high - low) / _MOST_BINS)
+    return np.linspace(low, high, round(min(max(count, few), _MOST_BINS)) + 1)
 
 
 def _scatter(ensemble: Ensemble, seen: Shown) -> "Figure":
@@ -237,10 +251,12 @@ def _scatter(ensemble: Ensemble, seen: Shown) -> "Figure":
             "is one number, and a scatter plot needs two",
             'give a function that returns two, or kind="histogram"',
         )
-    figure = new_figure((7.0, 6.0))
-    panel = figure.add_subplot()
     x, y = seen.values[:, 0], seen.values[:, 1]
     finite = np.isfinite(x) & np.isfinite(y)
+    (left, right), (low, high) = (limits(v[finite], 0.06) for v in (x, y))
+    ratio = (high - low) / (right - left) if seen.units == "m" else 0.8
+    figure = new_figure((7.5, 1.0 + 6.5 * float(np.clip(ratio, 0.35, 1.2))))
+    panel = figure.add_subplot(xlim=(left, right), ylim=(low, high))
     outcomes = _outcomes(ensemble)
     size = float(np.clip(6e3 / max(len(x), 1), 1.5, 30.0))
     for i, (flags, label) in enumerate(
@@ -254,9 +270,10 @@ def _scatter(ensemble: Ensemble, seen: Shown) -> "Figure":
     panel.set_xlabel(seen.labels[0])
     panel.set_ylabel(seen.labels[1])
     if seen.units == "m":
-        panel.set_aspect("equal", adjustable="datalim")
+        panel.set_aspect("equal")
     dress(panel)
-    _name_colours(panel)
+    if len(outcomes) > 1 or not finite.all():
+        _name_colours(panel)
     return figure
 
 
@@ -280,7 +297,8 @@ def _outcomes(ensemble: Ensemble) -> dict[str, np.ndarray]:
     every = ensemble.outcomes
     names, counts = np.unique(every, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    return {name: every == name for name in names[order].tolist()}
+    short = lambda name: name.removeprefix("stopped: ")  # an event's name says it
+    return {short(name): every == name for name in names[order].tolist()}
 
 
 def _legend(outcomes: dict[str, np.ndarray], finite: np.ndarray) -> list[str]:
@@ -288,6 +306,6 @@ def _legend(outcomes: dict[str, np.ndarray], finite: np.ndarray) -> list[str]:
     found: list[str] = []
     for name, flags in outcomes.items():
         count, lost = int(flags.sum()), int((flags & ~finite).sum())
-        without = f", {lost:,} without value" if lost else ""
-        found.append(f"{name}: {count:,}{without}")
+        without = f" ({lost:,} without a value)" if lost else ""
+        found.append(f"{count:,} {name}{without}")
     return found

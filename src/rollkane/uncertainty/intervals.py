@@ -202,3 +202,26 @@ def mean_half_width(deviation: Any, count: Any, level: float) -> np.ndarray:
         if value >= 2:
             factor[n == value] = student_quantile(level, int(value) - 1)
     return cast(np.ndarray, factor * s / np.sqrt(np.maximum(n, 1)))
+
+
+def of_replicates(means: Any, counts: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of all members, and its standard error, from those of independent groups.
+
+    Args:
+        means: Of the groups [any unit], shape (G, ...).
+        counts: Of their members, of the same shape; 0 for groups that are not looked
+            at.
+
+    Returns:
+        The mean weighted by members, and its error: of groups of one size, their
+        standard deviation over the root of their number. NaN for fewer than one, or
+        two, groups.
+    """
+    counts = np.asarray(counts)
+    means = np.where(counts > 0, means, 0.0)
+    groups = (counts > 0).sum(axis=0)
+    weights = counts / np.maximum(counts.sum(axis=0), 1)
+    mean = (weights * means).sum(axis=0)
+    squares = (weights**2 * (means - mean) ** 2).sum(axis=0)
+    error = np.sqrt(squares * groups / np.maximum(groups - 1, 1))
+    return np.where(groups > 0, mean, np.nan), np.where(groups > 1, error, np.nan)

@@ -63,7 +63,7 @@ def sobol_indices(
             made of numbers or that hardly a row has, limits that what was seen exceeds.
 
     Source: Saltelli et al., Comput. Phys. Commun. 181 (2010); estimators as in
-    ``rollkane.monte_carlo.sobol_estimates``.
+    ``rollkane.uncertainty.sobol_estimates``.
     """
     size = whole("sobol_indices.size", size, _LEAST, "give more rows of the design")
     seed = whole("sobol_indices.seed", seed, 0, "give a whole number")

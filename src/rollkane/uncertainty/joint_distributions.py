@@ -44,7 +44,7 @@ class MultivariateNormal(AbstractDistribution):
         self.mean = real("MultivariateNormal.mean", mean, (None,), "n numbers")
         n = self.mean.shape[0]
         self.covariance = real(field, covariance, (n, n), f"{n} x {n} numbers")
-        self.root = root_of(field, self.covariance)
+        self.root = root_of(field, covariance, self.covariance)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -121,8 +121,8 @@ class Correlated(AbstractDistribution):
                 raise FieldError(f"{field}[{name!r}]", one, problem, remedy)
         self.names = tuple(distributions)
         self.members = tuple(distributions.values())
-        self.correlation = _correlation(correlation, len(self.names))
-        self.root = root_of("Correlated.correlation", self.correlation)
+        given, self.correlation = _correlation(correlation, len(self.names))
+        self.root = root_of("Correlated.correlation", given, self.correlation)
 
     @property
     def shape(self) -> dict[str, tuple[int, ...]]:
@@ -154,23 +154,22 @@ class Correlated(AbstractDistribution):
         }
 
 
-def _correlation(value: Any, n: int) -> Array:
-    """A correlation matrix, or that of two by its one number."""
+def _correlation(value: Any, n: int) -> tuple[Any, Array]:
+    """A correlation matrix as given, or of two by its one number; and as an array."""
     field = "Correlated.correlation"
-    if n == 2 and not isinstance(value, str) and jnp.shape(value) == ():
-        one = real(field, value, (), "a number between -1 and 1")
-        ones = jnp.ones_like(one)
-        matrix = jnp.stack([jnp.stack([ones, one]), jnp.stack([one, ones])])
-    else:
-        matrix = real(field, value, (n, n), f"{n} x {n} numbers")
-    if is_traced(matrix):
-        return matrix
-    known = np.asarray(matrix)
-    # rounding of a diagonal that was computed
-    if np.max(np.abs(np.diag(known) - 1.0)) > 1e-6:
-        remedy = "divide a covariance by the deviations of its rows and columns"
-        raise FieldError(field, known, "must have ones on its diagonal", remedy)
-    if np.max(np.abs(known)) > 1.0 + 1e-6:
-        remedy = "give correlations between -1 and 1"
-        raise FieldError(field, known, "exceeds one", remedy)
-    return matrix
+    single = isinstance(value, (int, float)) or getattr(value, "shape", None) == ()
+    if n == 2 and single:
+        real(field, value, (), "a number between -1 and 1")
+        library: Any = jnp if is_traced(value) else np
+        value = library.array([[1.0, value], [value, 1.0]])
+    matrix = real(field, value, (n, n), f"{n} x {n} numbers")
+    if not is_traced(value):
+        known = np.asarray(value, float)
+        # rounding of a diagonal that was computed
+        if np.max(np.abs(np.diag(known) - 1.0)) > 1e-6:
+            remedy = "divide a covariance by the deviations of its rows and columns"
+            raise FieldError(field, value, "must have ones on its diagonal", remedy)
+        if np.max(np.abs(known)) > 1.0 + 1e-6:
+            remedy = "give correlations between -1 and 1"
+            raise FieldError(field, value, "exceeds one", remedy)
+    return value, matrix

@@ -86,7 +86,7 @@ def monte_carlo(
         progress: Called after each block.
 
     Returns:
-        Statistics, and the members where they are kept.
+        Statistics [unit of each observable], and the members where they are kept.
 
     Raises:
         FieldError: arguments that do not fit.
@@ -263,6 +263,7 @@ def _provenance(members: Members, runs: UnitRuns) -> dict[str, Any]:
     """What members depend on, as JSON has it; and what a reader needs."""
     about = {
         "study": fingerprint(members.study),
+        "samples": members.sampler().spec(),
         "sampling": members.sampling,
         "seed": members.seed,
         "dimension": members.study.draws.dimension,

@@ -99,7 +99,7 @@ class FitCovariance(AbstractDistribution):
         if fit.loss != "linear":
             known = known * variance_factor(best.at.residual, loss_of(fit.loss))
         self.center = jnp.asarray(best.z)
-        self.root = root_of(field, jnp.asarray(known))
+        self.root = root_of(field, known, jnp.asarray(known))
         self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
         channels = {name: None for m in layout.models for name in m.channels}
         self.transforms = tuple(entry.transform for entry in layout.entries)

@@ -96,17 +96,23 @@ def unit(field: str, value: Any) -> Float[Array, "3"]:
     return vector / jnp.sqrt(jnp.sum(vector * vector))
 
 
-def root_of(field: str, matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+def root_of(field: str, given: Any, matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
     """Lower triangular L with ``L L^T`` the matrix, which may be semidefinite.
 
     A traced matrix has to be definite: L is NaN where it is not.
 
+    Args:
+        field: Name used in the error.
+        given: The matrix as the user wrote it: known, where a program being traced
+            makes an abstract value of it.
+        matrix: As an array.
+
     Raises:
         FieldError: not symmetric, or with a negative eigenvalue.
     """
-    if is_traced(matrix):
+    if is_traced(given):
         return cast(Array, jnp.linalg.cholesky(matrix))
-    known = np.asarray(matrix, float)
+    known = np.asarray(given, float)
     variances = np.diag(known)
     # of each number in units of its own deviation, as units are the user's
     scale = np.sqrt(np.where(variances > 0.0, variances, 1.0))

@@ -93,8 +93,8 @@ def _constants(program: Any) -> Iterable[Any]:
     yield from program.consts
     for equation in program.jaxpr.eqns:
         for value in equation.params.values():
-            parts: Any = value if isinstance(value, (tuple, list)) else (value,)
-            for part in cast("Iterable[Any]", parts):
+            several = isinstance(value, (tuple, list))
+            for part in cast("tuple[Any, ...]", value) if several else (value,):
                 if isinstance(part, jex.core.ClosedJaxpr):
                     yield from _constants(part)
                 elif isinstance(part, jex.core.Jaxpr):

@@ -58,7 +58,7 @@ class InertiaPerturbation(AbstractDistribution):
         self.relative = not_negative(
             "InertiaPerturbation.relative", relative, "of zero or more"
         )
-        moments, axes = np.linalg.eigh(second_moments_of(self.inertia))
+        moments, axes = np.linalg.eigh(second_moments_of(inertia))
         thick = moments > FLAT * moments[-1]
         root = axes[:, thick] * np.sqrt(moments[thick])
         self.root = jnp.asarray(root, self.inertia.dtype)

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterable
 from typing import Any, cast
 
 import jax
-import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.dependence import reached_outputs
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
@@ -45,7 +45,7 @@ class MadeMembers:
         self._leaves, self._tree = _flat(self.scene, self.start)
         self._own = self._reached(middle)
         self._scenes = len(jax.tree.leaves(self.scene))
-        self._made = jax.jit(jax.vmap(self._of_own))
+        self._made: Any = jax.jit(jax.vmap(self._of_own))
 
     def members(self, size: int) -> Members:
         """As an ensemble takes them, with the middle draw in every place."""
@@ -96,7 +96,7 @@ class MadeMembers:
             first = str(error).partition("\n")[0]
             problem = f"cannot be traced by JAX ({first})"
             raise FieldError("Study.make", self._make, problem, _REMEDY) from error
-        reached = _reached_outputs(program.jaxpr)
+        reached = reached_outputs(program.jaxpr)
         count = len(jax.tree.leaves(shape[0]))
         if any(reached[count:]):
             raise FieldError(
@@ -129,15 +129,3 @@ def _pair(made: Any) -> tuple[Scene, State]:
         wrong = start if isinstance(scene, Scene) else scene
         raise FieldError("Study.make", wrong, "is not what it must be", _REMEDY)
     return scene, start
-
-
-def _reached_outputs(jaxpr: Any) -> list[bool]:
-    """Which outputs of a program depend on its inputs, equation by equation."""
-    reached: set[Any] = set(jaxpr.invars)
-    known: Callable[[Any], bool] = lambda x: (
-        not isinstance(x, jex.core.Literal) and x in reached
-    )
-    for equation in jaxpr.eqns:
-        if any(map(known, equation.invars)):
-            reached.update(equation.outvars)
-    return [known(x) for x in jaxpr.outvars]

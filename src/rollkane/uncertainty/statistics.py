@@ -36,7 +36,8 @@ class Statistics:
     the largest; they need two of them. Fewer than 20 hits or misses, or groups that all
     agree, say too little for that: then a probability has the interval of a plain
     sample, which such designs only make wider than needed, and which is never of zero
-    width. Quantiles have that interval always.
+    width. So it is with quantiles, of up to 64 groups. Means of groups of few members
+    whose values are very skewed are no more normal than those of so few plain ones.
 
     Attributes:
         group_count: How many groups there are; None for a plain sample.
@@ -79,11 +80,12 @@ class Statistics:
             FieldError: other names, shapes or types than before, or a group that does
                 not exist.
         """
-        if self._totals is None:
-            self._layout = Layout.of(values, self._edges)
-            self._totals = Totals.of_nothing(self._layout, self.group_count)
-        piece = checked_block(self._layout, self.group_count, values, valid, groups)
-        self._settled = None
+        layout, totals = self._layout, self._totals
+        if totals is None:
+            layout = Layout.of(values, self._edges)
+            totals = Totals.of_nothing(layout, self.group_count)
+        piece = checked_block(layout, self.group_count, values, valid, groups)
+        self._layout, self._totals, self._settled = layout, totals, None
         self._waiting.append(piece)
         if sum(len(piece.valid) for piece in self._waiting) < _PIECE:
             return
@@ -91,8 +93,9 @@ class Statistics:
         whole_pieces = len(everything.valid) // _PIECE
         for k in range(whole_pieces):
             part = everything.part(slice(k * _PIECE, (k + 1) * _PIECE))
-            self._totals = self._totals.add(part)
+            totals = totals.add(part)
         rest = everything.part(slice(whole_pieces * _PIECE, None))
+        self._totals = totals
         self._waiting = [Piece(*(array.copy() for array in rest))]
 
     @property
@@ -288,7 +291,7 @@ class Statistics:
         Returns:
             Value and both ends [the unit of the value], each in its shape: order
             statistics, moved outwards by the error of rank of what is kept
-            (:class:`~rollkane.monte_carlo.quantile_sketch.QuantileSketch`).
+            (:class:`~rollkane.uncertainty.quantile_sketch.GroupedSketch`).
 
         Raises:
             FieldError: no number, or q or level outside of 0 to 1.

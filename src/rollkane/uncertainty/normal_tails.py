@@ -1,12 +1,15 @@
 """The normal distribution by logarithms of its probabilities, right in far tails."""
 
+import math
+from typing import cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float
 
-_HALF_LOG_TAU = 0.5 * np.log(2.0 * np.pi)
+_HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 # Beyond, the asymptotic series is used. Its seven terms leave out 15!!/x^14 times
 # (15/x^2): 5e-18 at 36, 3e-8 at 12; the complementary error function is still a normal
 # number of its precision at either.
@@ -62,10 +65,13 @@ def lower_quantile(logarithm: Float[Array, "*n"]) -> Float[Array, "*n"]:
     size = -2.0 * jnp.minimum(goal, least)
     far = -jnp.sqrt(size - jnp.log(2.0 * jnp.pi * size))
     x = jnp.where(goal > least, ndtri(jnp.exp(jnp.maximum(goal, least))), far)
-    for _ in range(_NEWTON):
+
+    def step(_: int, x: Array) -> Array:
         value = log_normal_cdf(x)
-        x = x - (value - goal) * jnp.exp(value - _log_density(x))
-    return jnp.where(known, x, -jnp.inf)
+        return x - (value - goal) * jnp.exp(value - _log_density(x))
+
+    found = cast(Array, jax.lax.fori_loop(0, _NEWTON, step, x))
+    return jnp.where(known, found, -jnp.inf)
 
 
 @lower_quantile.defjvp

@@ -75,6 +75,11 @@ class MonteCarlo:
         self.complete = complete
 
     @property
+    def has_members(self) -> bool:
+        """Whether members are kept."""
+        return self.store is not None or self._kept is not None
+
+    @property
     def size(self) -> int:
         """Members that statistics are of, those that failed as well."""
         return sum(self._of_members.codes.values())
@@ -262,7 +267,8 @@ def read_study(path: str | os.PathLike[str], verify: bool = True) -> MonteCarlo:
         verify: Whether blocks are checked against their checksums.
 
     Returns:
-        Statistics of all blocks that are there; ``note`` says of those that are not.
+        Statistics of all blocks that are there [unit of each observable]; ``note``
+        says of those that are not.
 
     Raises:
         StoreError: no store of a study.

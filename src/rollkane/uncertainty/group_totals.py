@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .intervals import probability_interval, student_quantile
+from .intervals import of_replicates, probability_interval, student_quantile
 
 # Groups are compared when they have this share of the largest group's members.
 _COMPLETE = 0.5
@@ -108,22 +108,8 @@ class GroupTotals:
         return GroupTotals(members, counts, sums)
 
     def replicates(self, shift: np.ndarray) -> Replicates:
-        """Mean and standard error from groups with at least half of the most members.
-
-        The error of the weighted mean is that of means of one expectation: with groups
-        of equal size their standard deviation over the root of their number.
-        """
+        """Mean and error, from groups with at least half as many as the largest."""
         complete = self.members >= _COMPLETE * max(self.members.max(initial=0), 1)
         counts = np.where(complete[:, None], self.counts, 0)
-        groups = (counts > 0).sum(axis=0)
-        total = np.maximum(counts.sum(axis=0), 1)
-        away = np.where(counts > 0, self.sums / np.maximum(self.counts, 1), 0.0)
-        weights = counts / total
-        mean = (weights * away).sum(axis=0)
-        squares = (weights**2 * (away - mean) ** 2).sum(axis=0)
-        error = np.sqrt(squares * groups / np.maximum(groups - 1, 1))
-        return Replicates(
-            np.where(groups > 0, shift + mean, np.nan),
-            np.where(groups > 1, error, np.nan),
-            groups,
-        )
+        mean, error = of_replicates(self.sums / np.maximum(self.counts, 1), counts)
+        return Replicates(shift + mean, error, (counts > 0).sum(axis=0))

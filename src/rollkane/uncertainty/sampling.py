@@ -5,6 +5,7 @@ for them: nothing is drawn in order.
 """
 
 import abc
+import hashlib
 import threading
 from typing import Any, cast
 
@@ -73,6 +74,21 @@ class Sampler(abc.ABC):
         first = whole("Sampler.uniforms.first", first, 0, "members count from 0")
         count = whole("Sampler.uniforms.count", count, 0, "give how many members")
         return self._uniforms(first, count)
+
+    def spec(self) -> dict[str, Any]:
+        """What identifies the numbers, as JSON has it.
+
+        With the digest of the first members: SciPy's scrambles follow from random
+        numbers of NumPy that another version of either may change.
+        """
+        first = np.ascontiguousarray(self.uniforms(0, SETS), dtype="<f8")
+        return {
+            "kind": self.kind,
+            "dimension": self.dimension,
+            "seed": self.seed,
+            **({"size": self.size} if self.kind == "latin" else {}),
+            "first members": hashlib.sha256(first.tobytes()).hexdigest(),
+        }
 
     @abc.abstractmethod
     def _uniforms(self, first: int, count: int) -> np.ndarray: ...

@@ -31,7 +31,15 @@ _UNITS = {"final_time": "s", "event time": "s"}
 
 
 class StoreError(ValueError):
-    """A store that cannot be used as asked, and what to do."""
+    """A store that cannot be used as asked."""
+
+    def __init__(self, message: str):
+        """Say what is wrong, and what to do.
+
+        Args:
+            message: Both, in a sentence or two.
+        """
+        super().__init__(message)
 
 
 class Store:

@@ -12,12 +12,14 @@ from .count_table import CountTable
 from .group_totals import GroupTotals
 from .histogram import FixedHistogram, GrowingHistogram
 from .moments import JointMoments, Moments
-from .quantile_sketch import QuantileSketch
+from .quantile_sketch import GroupedSketch
 
 # Entries of which covariances are kept: products of more would cost more than motions.
 JOINTLY = 256
-# Values in all buffers of one level together, and the buffer of one entry.
-_BUFFERED, _LARGEST, _SMALLEST = 1 << 18, 1 << 15, 1 << 8
+# Values in all buffers of one level together (8 MB), in one of them at most and least.
+_BUFFERED, _LARGEST, _SMALLEST = 1 << 20, 1 << 15, 1 << 6
+# Groups that have sketches of their own, at most.
+_MOST_PARTS = 64
 
 
 class Name(NamedTuple):
@@ -151,7 +153,7 @@ class Totals:
     joint: JointMoments | None
     hits: np.ndarray
     groups: GroupTotals | None
-    sketches: tuple[QuantileSketch, ...]
+    sketches: tuple[GroupedSketch, ...]
     histograms: tuple[FixedHistogram | GrowingHistogram, ...]
     tables: tuple[CountTable, ...]
 
@@ -160,8 +162,8 @@ class Totals:
         """Of no members."""
         numbers, truths = layout.labels(truth=False), layout.labels(truth=True)
         size = len(numbers)
-        buffer = min(max(_BUFFERED // max(size, 1), _SMALLEST), _LARGEST)
-        buffer = 1 << (buffer.bit_length() - 1)
+        parts = 1 if group_count is None or group_count > _MOST_PARTS else group_count
+        buffer = _buffer(size, parts)
         count = size + len(truths)
         edges = [layout.edges.get(label) for label in numbers]
         return cls(
@@ -173,7 +175,7 @@ class Totals:
             groups=None
             if group_count is None
             else GroupTotals.of_nothing(group_count, count),
-            sketches=(QuantileSketch(buffer),) * size,
+            sketches=(GroupedSketch.of_nothing(parts, buffer),) * size,
             histograms=tuple(
                 GrowingHistogram() if x is None else FixedHistogram.of_nothing(x)
                 for x in edges
@@ -195,7 +197,9 @@ class Totals:
             both = np.concatenate([numbers, truths.T.astype(float)])
             shift = np.concatenate([moments.shift, np.zeros(len(self.hits))])
             groups = groups.add(both, shift, piece.groups, piece.valid)
-        finite = [row[np.isfinite(row)] for row in numbers]
+        finite = [np.isfinite(row) for row in numbers]
+        rows = [row[good] for row, good in zip(numbers, finite, strict=True)]
+        groups_of = piece.groups[piece.valid]
         joint = self.joint
         return Totals(
             members=self.members + len(piece.valid),
@@ -204,9 +208,18 @@ class Totals:
             joint=None if joint is None else joint.add(numbers, moments.shift),
             hits=self.hits + truths.sum(axis=0),
             groups=groups,
-            sketches=tuple(map(QuantileSketch.add, self.sketches, finite)),
-            histograms=tuple(
-                h.add(x) for h, x in zip(self.histograms, finite, strict=True)
+            sketches=tuple(
+                sketch.add(row, groups_of[good])
+                for sketch, row, good in zip(self.sketches, rows, finite, strict=True)
             ),
-            tables=tuple(map(CountTable.add, self.tables, finite)),
+            histograms=tuple(
+                h.add(x) for h, x in zip(self.histograms, rows, strict=True)
+            ),
+            tables=tuple(map(CountTable.add, self.tables, rows)),
         )
+
+
+def _buffer(entries: int, parts: int) -> int:
+    """Values of a buffer of each sketch, a power of two."""
+    most = min(_BUFFERED // max(entries * parts, 1), _LARGEST)
+    return 1 << (max(most, _SMALLEST).bit_length() - 1)

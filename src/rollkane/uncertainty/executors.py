@@ -18,6 +18,7 @@ from multiprocessing import get_context
 from typing import Any, NamedTuple, cast
 
 import jax
+import jax.experimental
 
 from ..simulation.ensemble_run import processors
 from ..validation.checks import FieldError, whole
@@ -189,9 +190,17 @@ def sent(members: Members) -> Sent:
 
 def block_elsewhere(packed: Sent, first: int, last: int) -> Columns:
     """A block, computed in the process that this is called in."""
-    jax.config.update("jax_enable_x64", packed.double)
-    runs, samples = _unpacked(packed)
-    return runs.block(first, last, samples.uniforms, samples.size)
+    with _precision(packed.double):
+        runs, samples = _unpacked(packed)
+        return runs.block(first, last, samples.uniforms, samples.size)
+
+
+def _precision(double: bool) -> Any:
+    """A context in which JAX computes so; its place changed with JAX 0.8."""
+    known: Any = getattr(jax, "enable_x64", None)
+    if known is None:
+        known = getattr(jax.experimental, "enable_x64")  # noqa: B009
+    return known(double)
 
 
 _READY: dict[str, tuple[UnitRuns, Sampler]] = {}
