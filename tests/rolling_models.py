@@ -50,8 +50,10 @@ class Inclined:
         self.made = jax.jit(jax.vmap(self._made))
 
     def _made(self, u):
-        """Scene and start of one member."""
-        drawn = self.draws.draw(u)
+        return self.member(self.draws.draw(u))
+
+    def member(self, drawn):
+        """Scene and start of one draw."""
         slope, r = drawn["slope"], self.radius
         down = jnp.stack([jnp.sin(slope), 0.0 * slope, -jnp.cos(slope)])
         inertia = drawn["ratio"] * self.mass * r**2 * jnp.eye(3)

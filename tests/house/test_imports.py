@@ -38,6 +38,7 @@ METHODS = {
     ("identification.fit_result", "pictures.plot_fit"),
     ("identification.fit_result", "pictures.fit_page"),
     ("stability.branch", "pictures.plot_family"),
+    ("uncertainty.result", "pictures.plot_study"),
 }
 PUBLIC = {"__init__", "moved_modules"}  # of the package itself: they know all folders
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}

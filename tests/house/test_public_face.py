@@ -158,6 +158,7 @@ NAMES = {
 FIELDS = {
     "time": "[s]",
     "position": "[m]",
+    "velocity": "[m/s]",
     "orientation": "[1]",
     "angular_velocity": "[rad/s]",
     "contact_on_body": "[m]",

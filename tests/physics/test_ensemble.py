@@ -137,6 +137,11 @@ def test_scenes_that_differ_on_a_moving_base():
     )
     alone = {7: rk.simulate(fitting, start, TIMES, **how)}
     shows_what_members_show(native, alone, ("position", "energy"))
+    blocks = list(rk.ensemble_blocks(shared, start, TIMES, method="native", **how))
+    last = blocks[-1]  # filled up while it ran, and cut to its own members again
+    assert last.scene.body.mass.shape == last.code.shape
+    own = native.momentum[last.first :]
+    np.testing.assert_allclose(last.momentum, own, rtol=1e-13, atol=1e-13)
     ends = native.final_state.angular_velocity
     assert np.ptp(ends, axis=0).max() < 1e-12  # of one shape: their mass does not count
 

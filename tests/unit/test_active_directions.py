@@ -109,6 +109,7 @@ def test_one_of_many_outputs():
 def test_refusals():
     class Without:
         draws = MODEL.draws
+        evaluate = MODEL.evaluate
 
     with pytest.raises(rk.FieldError, match="has no gradients"):
         rk.active_directions(Without())

@@ -269,6 +269,13 @@ def test_refusals(change, said):
         rk.sobol_indices(Failing(MODEL, 0.05), **how)
 
 
-def test_nothing_but_failures_is_refused():
-    with pytest.raises(rk.FieldError, match="rows in which no motion failed"):
-        rk.sobol_indices(Failing(MODEL, 0.9), 64)
+def test_an_output_that_hardly_a_row_has():
+    """Refused where it is asked for; else its indices are NaN."""
+    with pytest.raises(rk.FieldError, match="without a NaN or a failed motion"):
+        rk.sobol_indices(Failing(MODEL, 0.9), 64, outputs=["value"])
+    found = rk.sobol_indices(Failing(MODEL, 0.9), 64)
+    assert found.first["value"].shape == (3,)
+    assert found.total_interval["value"].shape == (2, 3)
+    assert np.isnan(found.first["value"]).all()
+    assert found.dropped["value"] > 60
+    assert "nan" in str(found)

@@ -297,8 +297,11 @@ def _outcomes(ensemble: Ensemble) -> dict[str, np.ndarray]:
     every = ensemble.outcomes
     names, counts = np.unique(every, return_counts=True)
     order = np.argsort(-counts, kind="stable")
-    short = lambda name: name.removeprefix("stopped: ")  # an event's name says it
-    return {short(name): every == name for name in names[order].tolist()}
+    return {_short(name): every == name for name in names[order].tolist()}
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("stopped: ")  # an event's name says enough
 
 
 def _legend(outcomes: dict[str, np.ndarray], finite: np.ndarray) -> list[str]:

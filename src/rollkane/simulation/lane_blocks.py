@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from ..codegen import LaneLoop, Looked, NoCompilerError, Queue, Results, Stops, zeros_of
+from ..codegen.dependence import reached_outputs
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain, weights_of
 from ..dynamics.consistency import consistent
@@ -122,7 +123,7 @@ class LaneBlocks:
         sense = -1.0 if times[-1] < times[0] else 1.0
         if kinks is None:
             ends = starts = np.unique(sense * times[1:])
-        elif jax.tree.leaves(members.axes()[0].base.motion):
+        elif _corners_differ(scene, members.scene_axes):
             raise NotForLanesError("the times of corners differ from member to member")
         else:
             found = landings(jnp.asarray(times), kinks, jump)
@@ -261,6 +262,20 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         watch=unbroken_numbers(unbroken, example, like),
         events=Looked(values, layout_of(events)) if events else None,
     )
+
+
+def _corners_differ(scene: Any, axes: list[int | None]) -> bool:
+    """Whether numbers in which members differ reach the times of corners."""
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(scene))
+    places = [i for i, axis in enumerate(axes) if axis is not None]
+
+    def times(own: list[Any]) -> Any:
+        known = dict(zip(places, own, strict=True))
+        every = [known.get(i, leaf) for i, leaf in enumerate(leaves)]
+        return corners(jax.tree.unflatten(tree, every))[0]
+
+    program = jax.make_jaxpr(times)([leaves[i] for i in places])
+    return any(reached_outputs(program.jaxpr))
 
 
 def _shape_of(x: Any) -> jax.ShapeDtypeStruct:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -12,6 +13,8 @@ from .inputs import share
 from .resampling import Spread, Sums, sum_by_unit, unit_numbers
 from .sampling import sampler
 from .standard_normal import column_names, slopes_by_normal, to_normal
+from .study import Study
+from .study_model import model_of
 
 _MOST_SHOWN = 8
 
@@ -98,7 +101,7 @@ class ActiveDirections:
 
 
 def active_directions(
-    model: DifferentiableModel,
+    model: DifferentiableModel | Study,
     of: str = "value",
     size: int = 1000,
     *,
@@ -135,12 +138,10 @@ def active_directions(
     seed = whole("active_directions.seed", seed, 0, "give a whole number")
     resamples = whole("active_directions.resamples", resamples, 100, "give more")
     level = share("active_directions.level", level)
-    if not hasattr(model, "value_and_gradient"):
-        remedy = "use a Study or a FunctionModel, or write its value_and_gradient"
-        raise FieldError("active_directions.model", model, "has no gradients", remedy)
-    draws = model.draws
+    differentiable = _differentiable(model)
+    draws = differentiable.draws
     u = sampler("plain", draws.dimension, seed, size).uniforms(0, size)
-    values, gradients, code = model.value_and_gradient(u, of)
+    values, gradients, code = differentiable.value_and_gradient(u, of)
     good = (code == 0) & np.isfinite(values) & np.isfinite(gradients).all(axis=1)
     if good.sum() < 2:
         remedy = "look at what fails"
@@ -177,8 +178,16 @@ def active_directions(
         float(values[good].mean()),
         float(values[good].var()),
         size,
-        failures(model, code, ~good & (code == 0)),
+        failures(differentiable, code, ~good & (code == 0)),
     )
+
+
+def _differentiable(given: DifferentiableModel | Study) -> DifferentiableModel:
+    model = given if hasattr(given, "value_and_gradient") else model_of(given)
+    if not hasattr(model, "value_and_gradient"):
+        remedy = "use a Study or a FunctionModel, or write its value_and_gradient"
+        raise FieldError("active_directions.model", given, "has no gradients", remedy)
+    return cast(DifferentiableModel, model)
 
 
 def _sums(

@@ -74,7 +74,7 @@ def conditional_chains(
         taken = found >= level
         z[i] = np.where(taken[:, None], moved, z[i - 1])
         margins[i] = np.where(taken, found, margins[i - 1])
-        accepted += taken.mean()
+        accepted += float(taken.mean())
         scale *= float(np.exp((taken.mean() - _GOAL) / np.sqrt(i)))
     return Chains(z, margins, accepted / max(steps - 1, 1), scale)
 

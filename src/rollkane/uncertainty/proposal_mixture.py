@@ -10,10 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import (  # pyright: ignore[reportMissingTypeStubs]
-    gammaln,
-    logsumexp,
-)
+from scipy.special import gammaln  # pyright: ignore[reportMissingTypeStubs]
 
 from .standard_normal import log_density
 
@@ -49,14 +46,14 @@ class Mixture(NamedTuple):
         size = y.shape[1]
         squares, roots = _distances(self, y)
         half = 0.5 * (_FREEDOM + size)
-        constant = gammaln(half) - gammaln(0.5 * _FREEDOM)
+        constant = float(gammaln(half) - gammaln(0.5 * _FREEDOM))
         constant -= 0.5 * size * np.log(_FREEDOM * np.pi)
         parts = np.log(self.weights) + constant - roots
         parts = parts - half * np.log1p(squares / _FREEDOM)
         normal = log_density(y)[:, None]
         shares = np.log([1.0 - _DEFENSE] * len(self.weights) + [_DEFENSE])
-        every = logsumexp(np.concatenate([parts, normal], axis=1) + shares, axis=1)
-        return normal[:, 0] - np.asarray(every)
+        joined = np.concatenate([parts, normal], axis=1) + shares
+        return normal[:, 0] - np.logaddexp.reduce(joined, axis=1)
 
     def draw(self, count: int, rng: np.random.Generator) -> Float[np.ndarray, "n d"]:
         """Samples of it, shape (count, d)."""
@@ -73,13 +70,11 @@ class Mixture(NamedTuple):
 
 def _distances(mixture: Mixture, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Squared distances from each centre, shape (n, K); log of the scales' roots."""
-    squares = np.empty((len(z), len(mixture.weights)))
-    roots = np.empty(len(mixture.weights))
-    for k, scale in enumerate(mixture.scales):
-        root = np.linalg.cholesky(scale)
-        squares[:, k] = (np.linalg.solve(root, (z - mixture.centres[k]).T) ** 2).sum(0)
-        roots[k] = np.log(np.diag(root)).sum()
-    return squares, roots
+    factors = np.linalg.cholesky(mixture.scales)
+    around = z - mixture.centres[:, None]
+    turned = np.linalg.solve(factors, np.swapaxes(around, 1, 2))
+    roots = np.log(np.einsum("kii->ki", factors)).sum(axis=1)
+    return (turned**2).sum(axis=1).T, roots
 
 
 def fitted_mixture(
@@ -147,18 +142,17 @@ def _maximized(
     """Mean log-likelihood and mixture of one start of expectation maximization."""
     weights = weights / weights.sum()
     near = _first_parts(z, weights, count, rng)
-    last = -np.inf
+    mixture, last = _moments(z, weights, near, effective), -np.inf
     for _ in range(_SWEEPS):
-        mixture = _moments(z, weights, near, effective)
         squares, roots = _distances(mixture, z)
         parts = np.log(mixture.weights) - roots - 0.5 * squares
-        every = np.asarray(logsumexp(parts, axis=1))
+        every = np.logaddexp.reduce(parts, axis=1)
         near = np.exp(parts - every[:, None])
         likely = float(weights @ every) - 0.5 * z.shape[1] * float(np.log(2.0 * np.pi))
         if likely - last < _ENOUGH:
             break
-        last = likely
-    return likely, mixture
+        mixture, last = _moments(z, weights, near, effective), likely
+    return last, mixture
 
 
 def _first_parts(

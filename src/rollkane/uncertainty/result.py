@@ -75,6 +75,11 @@ class MonteCarlo:
         self.complete = complete
 
     @property
+    def has_members(self) -> bool:
+        """Whether members are kept."""
+        return self.store is not None or self._kept is not None
+
+    @property
     def size(self) -> int:
         """Members that statistics are of, those that failed as well."""
         return sum(self._of_members.codes.values())

@@ -12,13 +12,15 @@ from .resampling import Spread, unit_numbers
 from .sampling import sampler
 from .sobol_estimates import Design, bound_sums, index_bounds, index_sums, indices
 from .sobol_result import SobolIndices
+from .study import Study
+from .study_model import model_of
 
 _KINDS = ("sobol", "plain")
 _LEAST = 32  # rows, below which nothing can be said
 
 
 def sobol_indices(
-    model: Model,
+    model: Model | Study,
     size: int,
     *,
     seed: int = 0,
@@ -44,7 +46,8 @@ def sobol_indices(
         level: Probability with which an interval covers its index [1].
         factors: Names of what is drawn, or labels of their entries (``"spin[0]"``); by
             default all names. One name is one factor, however many numbers it draws.
-        outputs: Names of outputs; by default all.
+        outputs: Names of outputs; by default all, and indices are NaN of those that
+            hardly a row has.
         sampling: ``"sobol"``: 16 independent scrambles of a Sobol sequence, from whose
             differences the intervals are; ``"plain"``: independent rows, resampled.
         resamples: Of the bootstrap, with plain samples.
@@ -57,7 +60,7 @@ def sobol_indices(
 
     Raises:
         FieldError: sizes that are too small, unknown names, an output that is not
-            made of numbers, limits that what was seen exceeds.
+            made of numbers or that hardly a row has, limits that what was seen exceeds.
 
     Source: Saltelli et al., Comput. Phys. Commun. 181 (2010); estimators as in
     ``rollkane.uncertainty.sobol_estimates``.
@@ -69,6 +72,7 @@ def sobol_indices(
     if sampling not in _KINDS:
         remedy = f"use one of {_KINDS}"
         raise FieldError("sobol_indices.sampling", sampling, "is not known", remedy)
+    model = model_of(model)
     names = tuple(model.draws.names if factors is None else factors)
     columns = [model.draws.columns(name) for name in names]
     dimension = model.draws.dimension
@@ -88,7 +92,8 @@ def sobol_indices(
             np.nan,
         )
         parts = _parts(value.reshape(len(code), -1), size, len(names))
-        _add(made, name, value.shape[1:], parts, limits.get(name), how)
+        asked = outputs is not None
+        _add(made, name, value.shape[1:], parts, limits.get(name), how, asked)
     return made
 
 
@@ -126,6 +131,7 @@ def _add(
     design: Design,
     limits: tuple[Any, Any] | None,
     how: _Resampling,
+    asked: bool,
 ) -> None:
     """Indices of one output, put into the result."""
     shaped: Callable[[np.ndarray], np.ndarray] = lambda x: x.reshape(
@@ -134,11 +140,15 @@ def _add(
     complete = design.complete
     made.dropped[name] = int((~complete).sum())
     if complete.sum() < _LEAST or len(np.unique(how.units[complete])) < 2:
-        problem = f"has {int(complete.sum())} rows in which no motion failed"
-        remedy = (
-            "raise size, or look at what fails: print the result of a smaller study"
-        )
-        raise FieldError("sobol_indices.model", name, problem, remedy)
+        if asked:
+            problem = f"has {int(complete.sum())} rows without a NaN or a failed motion"
+            remedy = "raise size, or look at what fails"
+            raise FieldError("sobol_indices.outputs", name, problem, remedy)
+        unknown = np.full((2, design.c.shape[1], *shape), np.nan)
+        made.first[name], made.total[name] = unknown[0], unknown[0]
+        made.first_interval[name] = made.first_bounds[name] = unknown
+        made.total_interval[name] = made.total_bounds[name] = unknown
+        return
     units = np.unique(how.units[complete], return_inverse=True)[1]
     kept = design.rows(complete).standardized()
     spread = Spread(index_sums(kept, units), indices, *how.how)

@@ -76,13 +76,14 @@ class SobolIndices:
     def _failures(self) -> Iterator[str]:
         if not any(self.dropped.values()):
             return
-        yield f"WARNING: {self.failed} of {self.evaluations} motions FAILED"
+        failed = f"{self.failed} of {self.evaluations} motions FAILED"
+        yield f"WARNING: {failed}" if self.failed else "WARNING: outputs that are NaN"
         yield from (f"  {count}: {why}" for why, count in self.reasons.items())
         for name, count in self.dropped.items():
             if count:
                 part = 100.0 * count / self.rows
                 yield f"  {name}: {count} rows ({part:.1f} %) were dropped whole"
-        yield "  The indices are those of motions that complete: those of all motions"
+        yield "  The indices are those of the motions that are left: those of all"
         yield "  only if failing has nothing to do with what is drawn; else no more is"
         yield '  known of these than "could be" says.'
 

@@ -14,6 +14,8 @@ from .proposal_mixture import Mixture, fitted_mixture
 from .rare_event import Estimate, Level, RareEvent
 from .sampling import sampler
 from .standard_normal import column_names, log_density, to_normal
+from .study import Study
+from .study_model import model_of
 
 _KEPT = 10  # a level is what every tenth state reaches
 _MOST_LEVELS = 20
@@ -24,7 +26,7 @@ _FEW = 20  # states that show the event, below which nothing is fitted to them
 
 
 def subset_simulation(
-    model: Model,
+    model: Model | Study,
     of: str,
     threshold: float,
     size_per_level: int = 2000,
@@ -81,6 +83,7 @@ def subset_simulation(
         remedy = "give the standard error over probability that is enough, as 0.05"
         raise FieldError(f"{field}.precision", precision, "must be positive", remedy)
     most = whole(f"{field}.motions", motions, size, "give at least one level's")
+    model = model_of(model)
     margin = LimitMargin(model, of, threshold, below)
     search = _Search(margin, model.draws.dimension, size, seed, most)
     search.run(precision)
@@ -159,8 +162,11 @@ class _Search:
         while True:
             first = len(self.runs) * self.size
             z = to_normal(self.sampler.uniforms(first, self.size))
-            self.runs.append(_levels(self.margin, z, self.rng, self.most))
-            self.why = self.runs[-1].stopped or self._no_fit(precision)
+            reached = _levels(self.margin, z, self.rng, self.most)
+            if self.runs and reached.stopped:
+                return
+            self.runs.append(reached)
+            self.why = reached.stopped or self._no_fit(precision)
             if self.why:
                 return
             self._sharpen(precision)
@@ -249,8 +255,8 @@ class _Search:
         """The z of largest density at which subset simulation saw the event."""
         seen = np.concatenate([run.event for run in self.runs])
         if not len(seen):
-            return np.full(seen.shape[1], np.nan)
-        return seen[np.argmax(log_density(seen))]
+            return np.full(seen.shape[1:], np.nan)
+        return seen[int(np.argmax(log_density(seen)))]
 
 
 def _levels(
