@@ -101,7 +101,6 @@ class MadeMembers:
 
     def _reached(self, functions: list[Shown]) -> list[bool]:
         """Whether a draw reaches each leaf; it may reach nothing else."""
-
         t = self._time
 
         def seen(u: Array) -> tuple[list[Any], Any]:
@@ -154,4 +153,3 @@ def _pair(made: Any) -> tuple[Scene, State]:
         wrong = start if isinstance(scene, Scene) else scene
         raise FieldError("Study.make", wrong, "is not what it must be", _REMEDY)
     return scene, start
-
