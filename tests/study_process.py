@@ -6,8 +6,8 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import rollkane as rk
-from tests.small_studies import rolling
+import rollkane as rk  # noqa: E402
+from tests.small_studies import rolling  # noqa: E402
 
 if __name__ == "__main__":
     how = {"seed": 1, "block": 16}

@@ -60,7 +60,10 @@ def copied(untouched, tmp_path):
 
 
 def test_a_store_has_what_memory_has(untouched):
-    kept, stored = rk.monte_carlo(small.rolling(), SIZE, **HOW), rk.read_study(untouched)
+    kept, stored = (
+        rk.monte_carlo(small.rolling(), SIZE, **HOW),
+        rk.read_study(untouched),
+    )
     assert equal(kept, stored)
     assert stored.complete
     assert str(kept) == str(stored)
@@ -349,7 +352,7 @@ def test_a_study_that_is_precise_enough_ends(tmp_path):
     store = tmp_path / "s.zarr"
     wanted = rk.Precision("fast", absolute=0.025)
     how = {"stop": wanted, "block": 128}
-    # half width 1.96 sqrt(p (1 - p) / n) with p near 0.46: 0.0305 of 1024, 0.0216 of 2048
+    # half width 1.96 sqrt(p (1 - p) / n), p near 0.46: 0.0305 of 1024, 0.0216 of 2048
     found = run(store, 9000, **how)
     assert found.size == 2048
     stored = rk.read_study(store)

@@ -10,11 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
-from ..dynamics.rolling import rolling_derivative
-from ..hybrid.modes import ModedState, of
+from .moded_views import rates_of, state_at, value_of
 from .program_digest import bytes_of_array, digest_of_bytes, digest_of_program
 from .study import Observable, Study
-from .unit_runs import value_of
 
 
 def fingerprint(study: Study) -> dict[str, Any]:
@@ -41,13 +39,12 @@ def fingerprint(study: Study) -> dict[str, Any]:
         surfaces = scene.body.surface, scene.base.surface
         ends = [one.extent(jnp.zeros(one.coordinate_count)) for one in surfaces]
         leaves = jax.tree.leaves((scene, start))
-        return leaves, ends, rolling_derivative(scene, t, start)
+        return leaves, ends, rates_of(study.modes)(scene, t, start)
 
     def seen(functions: Mapping[str, Observable]) -> str:
         def values(u: Any, t: Any) -> Any:
             scene, start = member(u)
-            state = start if study.modes is None else _moded(start)
-            how = study.modes, scene, t, state
+            how = study.modes, scene, t, state_at(start, study.modes)
             return [value_of(f, *how) for f in functions.values()]
 
         return digest_of_program(values, middle, t)
@@ -71,12 +68,6 @@ def fingerprint(study: Study) -> dict[str, Any]:
         "precision": str(np.dtype(jnp.result_type(float))),
         "versions": {"rollkane": __version__, "jax": jax.__version__},
     }
-
-
-def _moded(start: Any) -> ModedState:
-    """A start as a state in modes."""
-    zero = jnp.zeros_like(start.angular_velocity)
-    return ModedState(of(start), jnp.zeros((), jnp.int32), zero)
 
 
 def _kept(event: Any, stops: bool) -> list[Any]:

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.dependence import reached_outputs
-from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
+from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
 from ..simulation.ensemble_members import Members
 from ..validation.checks import FieldError
 from .draws import Draws
+from .moded_views import Shown, rates_of, state_at, value_of
 
-Shown = Callable[[Any, Any, Any], Any]
 Make = Callable[[dict[str, Any]], tuple[Scene, State]]
 _REMEDY = "give a function of the draw that returns (scene, start), by jax.numpy"
 _CLOSED = "gives a scene in which a function closes over a drawn number"
@@ -35,25 +35,28 @@ class MadeMembers:
         start: Its start.
     """
 
-    def __init__(self, make: Make, draws: Draws, time: float = 0.0):
+    def __init__(
+        self, make: Make, draws: Draws, time: float = 0.0, modes: Modes | None = None
+    ):
         """Make the middle member, and find what differs.
 
         Args:
             make: Of scene and start, of one draw.
             draws: What is drawn.
             time: At which motions begin [s].
+            modes: How they may change between rolling, slipping and flight.
 
         Raises:
             FieldError: no scene and start come out, ``make`` cannot be traced, or a
                 function inside of the scene closes over a drawn number.
         """
-        self.draws, self._make = draws, make
+        self.draws, self._make, self._modes = draws, make, modes
         middle = jnp.full(draws.dimension, 0.5)
         self.scene, self.start = _pair(make(draws.draw(middle)))
         self._leaves, self._tree = _flat(self.scene, self.start)
         self._places = _places((self.scene, self.start))
         self._time = jnp.asarray(time, self.start.angular_velocity.dtype)
-        self._own = self._reached([rolling_derivative])
+        self._own = self._reached([rates_of(modes)])
         self._scenes = len(jax.tree.leaves(self.scene))
         self._made: Any = jax.jit(jax.vmap(self._of_own))
 
@@ -97,7 +100,12 @@ class MadeMembers:
             FieldError: a function inside of the scene closes over a drawn number that
                 one of them comes to.
         """
-        self._reached(list(functions))
+        seen: Callable[[Shown], Shown] = lambda f: (
+            lambda scene, t, start: value_of(
+                f, self._modes, scene, t, state_at(start, self._modes)
+            )
+        )
+        self._reached([seen(f) for f in functions])
 
     def _reached(self, functions: list[Shown]) -> list[bool]:
         """Whether a draw reaches each leaf; it may reach nothing else."""

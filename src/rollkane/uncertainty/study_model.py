@@ -15,8 +15,9 @@ from ..validation.codes import Code, reason_of
 from .draws import Draws
 from .evaluation import Evaluated, Model, Slopes, entry
 from .member_statistics import values_of
+from .moded_views import value_of
 from .study import Study
-from .unit_runs import Columns, UnitRuns, value_of
+from .unit_runs import Columns, UnitRuns
 
 # Motions whose gradients are taken in one program
 _AT_ONCE = 64

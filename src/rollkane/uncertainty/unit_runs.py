@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, Modes, by_mode
+from ..hybrid.modes import Modes
 from ..simulation.ensemble_result import Ensemble
 from ..simulation.ensemble_run import EnsembleRun
 from ..validation.checks import FieldError
 from .draws import flat
 from .made_members import MadeMembers
+from .moded_views import rolling_of, value_of
 from .study import Observable, Study
 
 # Members of a unit: in lanes as many as hide what a call costs; those that one program
@@ -81,7 +82,7 @@ class UnitRuns:
                 observable that gives no real numbers.
         """
         self.study = study
-        self.made = MadeMembers(study.make, study.draws, study.times[0])
+        self.made = MadeMembers(study.make, study.draws, study.times[0], study.modes)
         self.unit = _IN_LANES
         self._run = self._runs_of(_IN_LANES)
         if self._run.lanes is None:
@@ -218,12 +219,12 @@ class UnitRuns:
 
     def _shape_of(self, where: str, function: Observable, time: Any) -> Any:
         remedy = "return one array of numbers or truth values, by jax.numpy"
-        example = self.made.scene, time, self.made.start
+        scene, start = rolling_of(self.made.scene, self.made.start, self.study.modes)
         asarray: Callable[[Any, Any, Any], Any] = lambda scene, t, state: jnp.asarray(
             function(scene, t, state)
         )
         try:
-            shape = jax.eval_shape(asarray, *example)
+            shape = jax.eval_shape(asarray, scene, time, start)
         except FieldError:
             raise
         except Exception as error:
@@ -290,15 +291,3 @@ def _observed(
         of_times = jax.vmap(one, (None, 0, 0))
         return jax.vmap(of_times, (axes, 0, 0))(scene, time, state)
     return jax.vmap(one, (axes, 0, 0))(scene, time, state)
-
-
-def value_of(
-    function: Observable, modes: Modes | None, scene: Scene, t: Any, state: Any
-) -> Any:
-    """An observable as floating numbers, of a run with or without modes."""
-    number: Callable[[Any, Any, Any], Any] = lambda scene, t, state: jnp.asarray(
-        function(scene, t, state)
-    ).astype(t.dtype)
-    if modes is None:
-        return number(scene, t, state)
-    return by_mode(number)(HybridScene(scene, modes), t, state)
