@@ -158,6 +158,17 @@ def test_ends_hold_the_exact_order_statistics():
         assert high <= ordered[min(upper - 1 + apart, COUNT - 1)]
 
 
+def test_ends_hold_them_in_the_worst_order():
+    """One small value in every second merge of buffers: at an even place, so lost."""
+    values = RNG.random(COUNT)
+    values[64 * 2 :: 64 * 4] = -1.0  # 195 of them, of which no buffer keeps one
+    sketch = fed(values, 64)
+    assert sketch.share_below(-1.0) < 0.001
+    value, low, _ = sketch.quantile(0.003)  # of rank 150
+    assert value > 0.0
+    assert low == -1.0 == np.sort(values)[quantile_ranks(0.003, COUNT, 0.95)[0] - 1]
+
+
 @pytest.mark.parametrize("count", [1, 7, 40, 1000, 123_457])
 @pytest.mark.parametrize("q", [0.003, 0.5, 0.9])
 @pytest.mark.parametrize("level", [0.5, 0.95, 0.999])
