@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-sensitivity accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -59,6 +59,10 @@ bench-fit: $(VENV)/.bench .venv-sysid/.installed
 	-$(PYTHON) -m venv .venv-sysid && .venv-sysid/bin/python -m pip install --quiet \
 		--disable-pip-version-check 'mujoco[sysid]' && touch $@
 
+bench-sensitivity: $(VENV)/.bench .venv-salib/.installed
+	$(BIN)/python benchmarks/sobol_indices.py --out benchmarks/results --docs docs
+	$(BIN)/python benchmarks/rare_events.py --out benchmarks/results --docs docs
+
 # a peer that cannot be installed is skipped by name
 .venv-%/.installed:
 	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
@@ -81,7 +85,7 @@ docs: $(VENV)/.docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn .venv-sysid out site build dist
+	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn .venv-salib .venv-sysid out site build dist
 
 $(MADE):
 	@$(PYTHON) -c 'import sys; sys.exit("rollkane needs Python 3.11 or newer" if sys.version_info < (3, 11) else 0)'

@@ -23,11 +23,11 @@ from statistics import NormalDist
 import jax
 import jax.numpy as jnp
 import numpy as np
-from rollkane.monte_carlo.draws import Draws
-from rollkane.monte_carlo.sampling import sampler
 
 import rollkane as rk
-from rollkane.monte_carlo.statistics import Statistics
+from rollkane.uncertainty.draws import Draws
+from rollkane.uncertainty.sampling import sampler
+from rollkane.uncertainty.statistics import Statistics
 
 jax.config.update("jax_enable_x64", True)
 

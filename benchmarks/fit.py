@@ -41,7 +41,7 @@ from scipy.stats import beta, chi2  # noqa: E402
 import rollkane as rk  # noqa: E402
 from rollkane.files.scene_files import load_scene  # noqa: E402
 from rollkane.identification.fitting import problem_of  # noqa: E402
-from rollkane.identification.residuals import Options  # noqa: E402
+from rollkane.simulation.run_options import RunOptions  # noqa: E402
 
 RATE, LENGTH, LONG, NOISE = 100, 6.0, 20.0, 0.01  # [Hz], [s], [s], of the signal
 OFFSETS = (0.1, 0.3)
@@ -86,7 +86,7 @@ class Case:
 
     def problem(self, scene, start, record):
         """Its least-squares problem."""
-        return problem_of(scene, [start], [record], self.free, None, Options(RTOL))
+        return problem_of(scene, [start], [record], self.free, None, RunOptions(RTOL))
 
     def drawn(self, seed, offset):
         """A record with noise, and a guess."""

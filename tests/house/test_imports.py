@@ -21,7 +21,7 @@ FOLDERS = [
     "stability",
     "studies",
     "files",
-    "monte_carlo",
+    "uncertainty",
     "pictures",
     "cli",
 ]
@@ -29,6 +29,8 @@ FOLDERS = [
 METHODS = {
     ("identification.sensitivity", "files.sensitivity_dataset"),
     ("identification.sensitivity", "pictures.plot_sensitivity"),
+    ("simulation.ensemble_result", "files.export_ensemble"),
+    ("simulation.ensemble_result", "pictures.plot_ensemble"),
     ("simulation.trajectory", "files.export"),
     ("simulation.trajectory", "pictures.plotting"),
     ("simulation.trajectory", "pictures.viewer"),
@@ -36,6 +38,7 @@ METHODS = {
     ("identification.fit_result", "pictures.plot_fit"),
     ("identification.fit_result", "pictures.fit_page"),
     ("stability.branch", "pictures.plot_family"),
+    ("uncertainty.result", "pictures.plot_study"),
 }
 PUBLIC = {"__init__", "moved_modules"}  # of the package itself: they know all folders
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}

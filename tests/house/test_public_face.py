@@ -13,6 +13,24 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    "VonMisesFisher",
+    "LogNormal",
+    "Normal",
+    "Uniform",
+    "UniformOrientation",
+    "Empirical",
+    "FitCovariance",
+    "InertiaPerturbation",
+    "Correlated",
+    "MultivariateNormal",
+    "Truncated",
+    "ActiveDirections",
+    "FunctionModel",
+    "RareEvent",
+    "SobolIndices",
+    "active_directions",
+    "sobol_indices",
+    "subset_simulation",
     "NormalModes",
     "PeriodicFamily",
     "PeriodicMotion",
@@ -124,8 +142,15 @@ NAMES = {
     "State",
     "Torus",
     "Trajectory",
+    "Evaluated",
+    "MonteCarlo",
     "Precision",
     "Statistics",
+    "StoreError",
+    "Study",
+    "load_study",
+    "monte_carlo",
+    "read_study",
     "place",
     "rolling_derivative",
     "simulate",
@@ -133,6 +158,7 @@ NAMES = {
 FIELDS = {
     "time": "[s]",
     "position": "[m]",
+    "velocity": "[m/s]",
     "orientation": "[1]",
     "angular_velocity": "[rad/s]",
     "contact_on_body": "[m]",
@@ -169,7 +195,7 @@ def test_importing_changes_no_setting():
 
 
 WITHOUT_UNITS = ("Plane", "Rolling", "RubberRolling", "Slipping", "Scene", "Base")
-WITHOUT_UNITS += ("Code", "FieldError", "Keeping", "Mode")
+WITHOUT_UNITS += ("Code", "FieldError", "StoreError", "Keeping", "Mode")
 KANE = {
     name
     for name, thing in vars(rk.kane).items()

@@ -11,6 +11,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.dynamics.observables import energy
+from rollkane.simulation.ensemble_run import EnsembleRun
 
 from .. import problems
 
@@ -67,6 +68,41 @@ def test_a_member_is_what_simulate_gives(runs):
     assert runs[0].steps[17] == alone.steps
 
 
+QUANTITIES = (
+    "position",
+    "velocity",
+    "orientation",
+    "contact_on_base",
+    "contact_force",
+    "energy",
+    "mode",
+)
+
+
+def shows_what_members_show(runs, alone, quantities=QUANTITIES):
+    """Quantities of members, at their outputs and at their ends, those of simulate.
+
+    Of motions that agree to 1e-12 (as above), whose forces are of order ten.
+    """
+    near = {"rtol": 1e-11, "atol": 1e-11}
+    for i, one in alone.items():
+        for name in quantities:
+            own, expected = getattr(runs, name)[i], np.asarray(getattr(one, name))
+            np.testing.assert_allclose(own, expected, **near, err_msg=name)
+            end = getattr(runs.final, name)[i]
+            np.testing.assert_allclose(end, expected[-1], **near, err_msg=name)
+
+
+def test_quantities_are_those_of_simulate(runs):
+    scene, starts = discs()
+    how = {"rtol": 1e-8, "solver": dfx.Dopri5()}
+    alone = {17: rk.simulate(scene, member(starts, 17), TIMES, **how)}
+    for each in runs:
+        shows_what_members_show(each, alone)
+        assert isinstance(each.position, np.ndarray)
+        assert each.scene.body.mass.shape == ()
+
+
 def stones(depths):
     """A scene of every mass and depth: a body on a base that goes up and down."""
 
@@ -93,6 +129,19 @@ def test_scenes_that_differ_on_a_moving_base():
     slow = rk.ensemble(shared, start, TIMES, method="diffrax", **how)
     agree(native.state, slow.state, 1e-12)
     np.testing.assert_array_equal(native.steps, slow.steps)
+    # shared arrays stay shared, and each member is seen in its own scene
+    assert native.scene.body.mass.shape == (9,)
+    assert native.scene.base.motion.kinks.shape == (1,)
+    fitting = eqx.tree_at(
+        lambda s: s.base.motion, member(scenes, 7), shared.base.motion
+    )
+    alone = {7: rk.simulate(fitting, start, TIMES, **how)}
+    shows_what_members_show(native, alone, ("position", "energy"))
+    blocks = list(rk.ensemble_blocks(shared, start, TIMES, method="native", **how))
+    last = blocks[-1]  # filled up while it ran, and cut to its own members again
+    assert last.scene.body.mass.shape == last.code.shape
+    own = native.momentum[last.first :]
+    np.testing.assert_allclose(last.momentum, own, rtol=1e-13, atol=1e-13)
     ends = native.final_state.angular_velocity
     assert np.ptp(ends, axis=0).max() < 1e-12  # of one shape: their mass does not count
 
@@ -148,6 +197,31 @@ def test_observables_are_kept_instead_of_states(runs):
     np.testing.assert_allclose(seen.observed[4, 2], one, rtol=1e-14)
 
 
+def test_states_are_kept_beside_observables_if_asked(runs):
+    scene, starts = discs()
+    how = {"observe": energy, "solver": dfx.Dopri5(), "rtol": 1e-8}
+    both = rk.ensemble(scene, starts, TIMES, keep_states=True, **how)
+    agree(both.state, runs[0].state, 0.0)  # however long the blocks are
+    # another program of the same formulas: roundings
+    np.testing.assert_allclose(both.observed, both.energy, rtol=1e-14)
+
+
+def test_blocks_are_as_long_as_what_they_keep():
+    """32 MiB of states and of what is observed, of numbers of eight bytes."""
+    scene, starts = discs(2)
+    wide = lambda scene, t, state: jnp.zeros(1000) + state.angular_velocity[0]
+    times = np.linspace(0.0, 1.0, 101)
+    sizes = [
+        EnsembleRun(
+            scene, lambda i: member(starts, 0), times, observe, count=10**6
+        ).block
+        for observe in (None, wide)
+    ]
+    state = sum(x.shape[1] for x in jax.tree.leaves(starts))
+    expected = [2**25 // (8 * 101 * n) for n in (state, state + 1000)]
+    assert sizes == expected
+
+
 def test_members_that_are_made_when_needed(runs):
     """Of their numbers alone; and no more blocks are made than are under way."""
     scene, starts = discs()
@@ -172,6 +246,26 @@ def test_members_that_are_made_when_needed(runs):
     )
 
 
+def test_what_is_made_alike_for_all_is_shared():
+    """Of what functions of the member's number make, each time anew."""
+
+    def make(i):
+        body = rk.Body(
+            1.0 + 0.1 * i.astype(float), 0.01 * np.eye(3), rk.Ellipsoid((0.2, 0.1, 0.1))
+        )
+        shake = lambda t: 0.1 * jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t])
+        return rk.Scene(body, rk.Base(rk.Plane(), rk.BaseMotion(shake)))
+
+    one = make(jnp.asarray(0))
+    start = rk.place(one, [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 2.0], [0.0, 0.0, 0.0])
+    runs = rk.ensemble(make, lambda i: start, TIMES, count=6, block=4)
+    assert runs.method == "native"
+    assert runs.scene.body.mass.shape == (6,)
+    assert runs.scene.body.inertia.shape == (3, 3)
+    alone = rk.simulate(make(jnp.asarray(5)), start, TIMES)
+    shows_what_members_show(runs, {5: alone}, ("position", "energy"))
+
+
 @pytest.mark.parametrize("method", ["auto", "diffrax"])
 def test_derivatives_go_through_the_ensemble(method):
     """Those of each member alone."""
@@ -181,12 +275,12 @@ def test_derivatives_go_through_the_ensemble(method):
         wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
         run = rk.ensemble(wider, starts, [0.0, 0.1], method=method)
         assert run.method == ("native" if method == "auto" else "diffrax")
-        return run.state.angular_velocity[1, -1, 0]
+        return run.state.angular_velocity[1, -1, 0], run.position[1, -1, 0]
 
     def alone(radius):
         wider = eqx.tree_at(lambda s: s.body.surface.radius, scene, radius)
         run = rk.simulate(wider, member(starts, 1), [0.0, 0.1])
-        return run.state.angular_velocity[-1, 0]
+        return run.state.angular_velocity[-1, 0], run.position[-1, 0]
 
     radius = jnp.asarray(0.25)
     moved = [jax.jvp(f, (radius,), (jnp.ones(()),))[1] for f in (end, alone)]
@@ -203,7 +297,8 @@ def test_runs_with_modes_are_native_each_by_itself():
     modes = rk.Modes(friction=0.1, restitution=0.5)
     heights = jnp.linspace(0.12, 0.2, 5)
     times = [0.0, 0.3]
-    runs = rk.ensemble(scene, jax.vmap(thrown)(heights), times, modes=modes, block=2)
+    how = {"modes": modes, "observe": energy, "keep_states": True, "block": 2}
+    runs = rk.ensemble(scene, jax.vmap(thrown)(heights), times, **how)
     assert (runs.method, runs.why) == ("native", "")
     for i, height in enumerate(heights):
         one = rk.simulate(scene, thrown(height), times, modes=modes)
@@ -211,6 +306,10 @@ def test_runs_with_modes_are_native_each_by_itself():
         np.testing.assert_array_equal(
             runs.state.parts.velocity[i], one.state.parts.velocity
         )
+        if i in (0, 4):
+            # contact_on_base is NaN in flight, in both
+            shows_what_members_show(runs, {i: one}, ("position", "mode"))
+            np.testing.assert_allclose(runs.observed[i], one.energy, rtol=1e-13)
 
 
 def test_what_the_native_loop_has_not_goes_by_diffrax():

@@ -12,7 +12,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.identification.fitting import problem_of
-from rollkane.identification.residuals import Options
+from rollkane.simulation.run_options import RunOptions
 
 EPS = np.finfo(float).eps
 FOUR = 4.0
@@ -291,7 +291,7 @@ def test_a_disc_that_falls_flat_is_a_misfit():
     assert not falls.succeeded
     record = record_of(noisy(gyro_of(scene, truth), 14))
     free = (rk.Free("start.angular_velocity"),)
-    problem = problem_of(scene, [rolls], [record], free, None, Options())
+    problem = problem_of(scene, [rolls], [record], free, None, RunOptions())
     at = problem.evaluate(problem.layout.start)
     assert at.usable
     assert at.failed == 1

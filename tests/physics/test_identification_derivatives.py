@@ -13,7 +13,7 @@ import pytest
 import rollkane as rk
 from rollkane.files.scene_files import builtin_scenes, load_scene
 from rollkane.identification.fitting import problem_of
-from rollkane.identification.residuals import Options
+from rollkane.simulation.run_options import RunOptions
 
 DIFFERS = 1e-6
 STEP = 1e-4
@@ -56,7 +56,7 @@ def problem_for(scene, start, paths, delay=0.0, modes=None):
     record = rk.Record(TIMES, channels(len(TIMES), delay), start_time=0.0)
     bounds = {"gyro.delay": (0.0, 0.015)}
     free = tuple(rk.Free(path, bounds=bounds.get(path)) for path in paths)
-    return problem_of(scene, [start], [record], free, modes, Options(rtol=1e-11))
+    return problem_of(scene, [start], [record], free, modes, RunOptions(rtol=1e-11))
 
 
 def test_through_delays_and_sensors():
@@ -104,6 +104,6 @@ def test_through_flight_impact_slip_and_grip():
     )
     paths = "modes.friction", "modes.restitution", "body.inertia"
     free = tuple(rk.Free(path) for path in (*paths, "start.angular_velocity"))
-    options = Options(rtol=1e-11)
+    options = RunOptions(rtol=1e-11)
     found = agree(problem_of(scene, [start], [record], free, modes, options))
     assert (np.abs(found).max(axis=0) > 0.0).all()

@@ -7,8 +7,9 @@ import pytest
 
 import rollkane as rk
 from rollkane.files.scene_files import load_scene
+from rollkane.simulation.run_options import RunOptions
 from rollkane.stability.independent_coordinates import IndependentCoordinates
-from rollkane.stability.variational import RunOptions, carried, divergence
+from rollkane.stability.variational import carried, divergence
 
 G = 9.81
 STILL = (0.0, 0.0, 0.0)

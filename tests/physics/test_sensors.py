@@ -13,7 +13,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.identification.fitting import problem_of
-from rollkane.identification.residuals import Options
+from rollkane.simulation.run_options import RunOptions
 
 H = 1e-3
 DIFFERS = 3e-4
@@ -173,7 +173,7 @@ def test_a_sensor_as_it_is_built(run, turn):
         start_time=FINE[0],
     )
     free = (rk.Free("body.inertia"),)
-    problem = problem_of(SCENE, [START], [record], free, None, Options(rtol=1e-11))
+    problem = problem_of(SCENE, [START], [record], free, None, RunOptions(rtol=1e-11))
     misfit = problem.evaluate(problem.layout.start).residual
     assert misfit.size == 7 * len(times)
     np.testing.assert_allclose(misfit, 0.0, atol=DIFFERS)

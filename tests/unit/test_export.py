@@ -14,6 +14,7 @@ from rollkane.simulation.run import simulate
 
 VECTORS = (
     "position",
+    "velocity",
     "angular_velocity",
     "contact_on_body",
     "contact_on_base",

@@ -14,6 +14,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.cli import fit_command, main
+from rollkane.cli.json_text import json_text
 from rollkane.files.scene_files import load_scene
 from rollkane.identification import fitting, least_squares
 
@@ -217,7 +218,10 @@ def test_choices_are_those_of_fit():
 
 def test_what_is_infinite_is_null():
     given = {"a": np.array([[1.0, np.inf]]), "b": (math.nan, 2, "x", True)}
-    assert fit_command._finite(given) == {"a": [[1.0, None]], "b": [None, 2, "x", True]}
+    assert json.loads(json_text(given)) == {
+        "a": [[1.0, None]],
+        "b": [None, 2, "x", True],
+    }
 
 
 def test_progress_on_a_terminal(monkeypatch):

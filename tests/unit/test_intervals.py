@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import rollkane as rk
-from rollkane.monte_carlo.intervals import (
+from rollkane.uncertainty.intervals import (
     checked_level,
     mean_half_width,
     probability_interval,

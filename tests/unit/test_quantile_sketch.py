@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rollkane.monte_carlo.intervals import quantile_ranks
-from rollkane.monte_carlo.quantile_sketch import GroupedSketch, QuantileSketch
+from rollkane.uncertainty.intervals import quantile_ranks
+from rollkane.uncertainty.quantile_sketch import GroupedSketch, QuantileSketch
 
 COUNT = 50_000
 RNG = np.random.default_rng(3)

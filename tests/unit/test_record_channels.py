@@ -4,7 +4,7 @@ import numpy as np
 
 import rollkane as rk
 from rollkane.identification.fitting import problem_of
-from rollkane.identification.residuals import Options
+from rollkane.simulation.run_options import RunOptions
 
 from .. import problems
 
@@ -22,7 +22,7 @@ def test_misfits_bear_the_name_of_their_channel():
     for names in ("turning", "place"), ("place", "turning"):
         record = rk.Record(times, {name: channels[name] for name in names})
         free = (rk.Free("body.mass"),)
-        options = Options(1e-10, None, None, "auto")
+        options = RunOptions(1e-10, None, None, "auto")
         problem = problem_of(scene, [start], [record], free, None, options)
         (found,) = problem.channel_misfits(problem.layout.start)
         # the offsets over their deviations; both runs are of the same steps, whose

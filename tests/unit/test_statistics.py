@@ -8,9 +8,9 @@ import pytest
 from scipy import stats
 
 import rollkane as rk
-from rollkane.monte_carlo.intervals import mean_half_width, probability_interval
-from rollkane.monte_carlo.statistics import Statistics
-from rollkane.monte_carlo.statistics_summary import summary
+from rollkane.uncertainty.intervals import mean_half_width, probability_interval
+from rollkane.uncertainty.statistics import Statistics
+from rollkane.uncertainty.statistics_summary import summary
 
 COUNT = 20_000
 EPS = np.finfo(float).eps

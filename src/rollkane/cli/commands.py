@@ -18,6 +18,7 @@ from .fit_command import fit
 from .output_files import check_targets, telling_of_files, write
 from .preparation import STOPPED_EARLY, Positive, loaded, start_jax
 from .steady_commands import family, steady
+from .study_commands import monte_carlo, show
 
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0
@@ -29,7 +30,7 @@ def main() -> None:
     """Exact dynamics of a rigid body that rolls without slipping."""
 
 
-for _command in (fit, steady, family):
+for _command in (fit, steady, family, monte_carlo, show):
     main.add_command(_command)
 
 

@@ -4,16 +4,15 @@ Everything heavy is imported inside the functions, as in the other commands.
 """
 
 import contextlib
-import json
-import math
 import sys
 import warnings
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn
 
 import click
 
+from .json_text import json_text
 from .output_files import check_targets, telling_of_files
 from .preparation import STOPPED_EARLY, loaded, start_jax
 
@@ -325,8 +324,7 @@ def _write(
 
     with telling_of_files():
         if "json" in targets:
-            text = json.dumps(_json(found, ends), indent=2, allow_nan=False)
-            write_whole(targets["json"], text.encode())
+            write_whole(targets["json"], json_text(_json(found, ends)).encode())
         if "report" in targets:
             found.write_report(targets["report"], title)
         if "plot" in targets:
@@ -336,7 +334,7 @@ def _write(
 
 
 def _json(found: Any, ends: dict[str, Any]) -> dict[str, Any]:
-    """The fit as JSON takes it; what is infinite as null."""
+    """The fit by names."""
     known: dict[str, Any] = {
         "estimates": found.estimates,
         "standard_errors": found.standard_errors,
@@ -351,16 +349,4 @@ def _json(found: Any, ends: dict[str, Any]) -> dict[str, Any]:
     }
     if ends:
         known["intervals"] = ends
-    return _finite(known)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        parts = cast(Mapping[str, Any], value)
-        return {name: _finite(part) for name, part in parts.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, (list, tuple)):
-        return [_finite(part) for part in cast(Sequence[Any], value)]
-    bad = isinstance(value, float) and not math.isfinite(value)
-    return None if bad else value
+    return known

@@ -1,15 +1,16 @@
-"""What a motion is measured by: energy, momentum, power, moving energy, forces.
+"""What a motion is measured by: pose, velocities, contact, energy, momentum, forces.
 
 Functions of the scene, the time and one state, in either coordinates.
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..geometry.rotations import quaternion_of
 from ..geometry.small_linear import cross, dot, matvec, norm
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
@@ -61,6 +62,78 @@ def _moving(
             spin = matvec(part.turning.inertia, W)
             energy = 0.5 * dot(W, spin)
         yield _Moving(part.mass, s, v, spin, energy)
+
+
+def position(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """Body origin O [m], FIXED axes."""
+    return contact_of(scene, t, state).position
+
+
+def velocity(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """Of the body origin O [m/s], FIXED axes: ``v_O = j + U + w x (O - M)``.
+
+    Source: docs/theory.md, (1.3); the material point at the contact M goes with the
+    base's, ``j``, and slips by ``U``.
+    """
+    return velocity_of_origin(contact_of(scene, t, state))
+
+
+def velocity_of_origin(contact: Contact) -> Float[Array, "3"]:
+    """As :func:`velocity`, of a contact that is known."""
+    glide = cross(contact.body_point, contact.angular_velocity)
+    point = contact.point_velocity
+    return matvec(contact.rotation, glide if point is None else glide + point)
+
+
+def orientation(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "4"]:
+    """Unit quaternion, scalar first, body to fixed axes [1]."""
+    contact = contact_of(scene, t, state)
+    if contact.orientation is None:
+        return quaternion_of(contact.rotation)
+    return contact.orientation / norm(contact.orientation)
+
+
+def angular_velocity(
+    scene: Scene, t: Float[Array, ""], state: Any
+) -> Float[Array, "3"]:
+    """Absolute [rad/s], FIXED axes."""
+    contact = contact_of(scene, t, state)
+    return matvec(contact.rotation, contact.angular_velocity)
+
+
+def slip(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """``U``, of the body's point over the base [m/s], FIXED axes; zero in flight."""
+    contact = contact_of(scene, t, state)
+    if contact.slip is None or not state.touches:
+        return jnp.zeros_like(contact.normal)
+    return matvec(contact.rotation, contact.slip)
+
+
+def contact_on_body(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """Contact point from the body origin [m], body axes; NaN in flight."""
+    point = contact_of(scene, t, state).body_point
+    return point if state.touches else jnp.full_like(point, jnp.nan)
+
+
+def contact_on_base(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """Contact point [m], base axes; NaN in flight."""
+    point = contact_of(scene, t, state).base_point
+    return point if state.touches else jnp.full_like(point, jnp.nan)
+
+
+def base_position(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3"]:
+    """Base origin [m], FIXED axes."""
+    still = jnp.zeros_like(state.angular_velocity)
+    motion = scene.base.motion
+    return still if motion is None else motion.at(t).placed(still)
+
+
+def base_rotation(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3 3"]:
+    """Base to FIXED axes [1]."""
+    del state
+    motion = scene.base.motion
+    rotation = None if motion is None else motion.at(t).rotation
+    return jnp.eye(3, dtype=t.dtype) if rotation is None else rotation
 
 
 def kinetic_energy(

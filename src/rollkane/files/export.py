@@ -1,4 +1,4 @@
-"""A trajectory as a labelled data set, and as a NetCDF file.
+"""Motions as labelled data sets, and as NetCDF files.
 
 Needs the extra ``rollkane[results]`` (xarray, h5netcdf, h5py).
 """
@@ -15,6 +15,8 @@ from jaxtyping import Array
 from .. import __version__
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene
+from ..simulation.ensemble_result import Ensemble
+from ..simulation.motion import AbstractMotion
 from ..simulation.trajectory import Trajectory
 from .atomic_file import write_whole
 
@@ -25,6 +27,7 @@ _AXIS = ("axis",)
 # name: (dimensions behind time, what it is, unit, axes)
 _VARIABLES = {
     "position": (_AXIS, "body origin", "m", "fixed"),
+    "velocity": (_AXIS, "velocity of the body origin", "m/s", "fixed"),
     "orientation": (
         ("quaternion",),
         "unit quaternion, scalar first, body to fixed axes",
@@ -57,6 +60,15 @@ _SUPPORTED = {
 }
 
 
+_MODE = {"mode": ((), "0 rolls, 1 slips, 2 flies, -1 not reached", "", "")}
+QUANTITIES = _VARIABLES | _MOVING | _WORK | _SLIDING
+COORDINATES: dict[str, Any] = {
+    "axis": ("axis", ["x", "y", "z"]),
+    "quaternion": ("quaternion", ["w", "x", "y", "z"]),
+}
+BASE_AXIS = {"base_axis": ("base_axis", ["x", "y", "z"])}
+
+
 def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     """A trajectory with names, units and axes.
 
@@ -64,12 +76,13 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         trajectory: One run, or a batch of runs.
 
     Returns:
-        Variables over ``time`` [s]: ``position``, ``orientation``,
+        Variables over ``time`` [s]: ``position``, ``velocity``, ``orientation``,
         ``angular_velocity``, ``contact_on_body``, ``contact_on_base``,
         ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
         something is supported ``alpha`` and ``alpha_dot``; where the base moves
         ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
-        slips ``slip``; where the energy may change ``power``.
+        slips ``slip``; where it changes ``slip`` and ``mode``; where the energy may
+        change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -78,46 +91,25 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     Raises:
         ImportError: xarray is not installed.
     """
-    xarray = _imported("xarray")
+    xarray = imported("xarray")
     lanes = _lanes(trajectory)
     time = np.asarray(trajectory.time)
     first = time.reshape(-1, time.shape[-1])[0]
     # one clock for all lanes is a coordinate; different clocks are data
     shared = bool(np.all((time == first) | (np.isnan(time) & np.isnan(first))))
     along = "time" if shared else "sample"
-    described = dict(_VARIABLES)
-    moving = trajectory.scene.base.motion is not None
-    if moving:
-        described |= _MOVING
     scene = trajectory.scene
-    if moving or scene.supported or scene.does_work:
-        described |= _WORK
-    if scene.contact.slips:
-        described |= _SLIDING
-    if trajectory.state.alpha.shape[-1]:
-        described |= _SUPPORTED
-    values = _values(trajectory, tuple(described))
-    variables = {
-        name: ((*lanes, along, *behind), np.asarray(values[name]), _labels(*labels))
-        for name, (behind, *labels) in described.items()
-    }
-    coordinates: dict[str, Any] = {
-        "axis": ("axis", ["x", "y", "z"]),
-        "quaternion": ("quaternion", ["w", "x", "y", "z"]),
+    variables = quantities(trajectory, scene, (*lanes, along))
+    coordinates = COORDINATES | {
         "time": (
             (along,) if shared else (*lanes, along),
             first if shared else time,
             {"long_name": "time", "units": "s"},
         ),
     }
-    attributes: dict[str, Any] = {
-        "title": f"motion of a rigid body that {_contact(scene)}",
-        "rollkane_version": __version__,
-        "axes_note": "right-handed; base axes "
-        + ("by base_rotation" if moving else "coincide with the fixed axes"),
-    }
-    if moving:
-        coordinates["base_axis"] = ("base_axis", ["x", "y", "z"])
+    attributes = heading(scene)
+    if scene.base.motion is not None:
+        coordinates |= BASE_AXIS
     ends = _ends(trajectory)
     if lanes:
         variables |= {name: (lanes, value) for name, value in ends.items()}
@@ -127,13 +119,53 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     return xarray.Dataset(variables, coordinates, attributes)
 
 
+def quantities(
+    motion: AbstractMotion, scene: Scene, front: tuple[str, ...]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Variables of a data set, by name: dimensions, values and labels.
+
+    Args:
+        motion: Whose they are.
+        scene: Its scene, which says what there is to be seen.
+        front: Dimensions that its states have in front.
+    """
+    described = dict(_VARIABLES)
+    moving, changes = scene.base.motion is not None, isinstance(scene, HybridScene)
+    if moving:
+        described |= _MOVING
+    if moving or scene.supported or scene.does_work:
+        described |= _WORK
+    if scene.contact.slips or changes:
+        described |= _SLIDING
+    if changes:
+        described |= _MODE
+    if scene.coordinate_count:
+        described |= _SUPPORTED
+    values = _values(motion, tuple(described))
+    return {
+        name: ((*front, *behind), np.asarray(values[name]), labels(*about))
+        for name, (behind, *about) in described.items()
+    }
+
+
+def heading(scene: Scene) -> dict[str, Any]:
+    """What a data set says of itself."""
+    moving = scene.base.motion is not None
+    return {
+        "title": f"motion of a rigid body that {_contact(scene)}",
+        "rollkane_version": __version__,
+        "axes_note": "right-handed; base axes "
+        + ("by base_rotation" if moving else "coincide with the fixed axes"),
+    }
+
+
 def write_netcdf(
-    run: "Trajectory | xarray.Dataset", path: str | os.PathLike[str]
+    run: "Trajectory | Ensemble | xarray.Dataset", path: str | os.PathLike[str]
 ) -> None:
     """Write a NetCDF-4 file, whole or not at all.
 
     Args:
-        run: A trajectory, or a data set made from one.
+        run: A trajectory, an ensemble, or a data set made from one.
         path: The file; replaced if it exists. Its folder must exist.
 
     Raises:
@@ -141,15 +173,21 @@ def write_netcdf(
         OSError: the folder does not exist, or cannot be written to.
     """
     for module in ("xarray", "h5netcdf", "h5py"):
-        _imported(module)
-    dataset: Any = to_xarray(run) if isinstance(run, Trajectory) else run
+        imported(module)
+    made = isinstance(run, (Trajectory, Ensemble))
+    dataset: Any = run.to_xarray() if made else run
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "run.nc"
         dataset.to_netcdf(part, engine="h5netcdf")
         write_whole(path, part.read_bytes())
 
 
-def _imported(module: str) -> Any:
+def imported(module: str) -> Any:
+    """A module of the extra ``results``.
+
+    Raises:
+        ImportError: it is not installed.
+    """
     try:
         return __import__(module)
     except ImportError as error:
@@ -160,9 +198,9 @@ def _imported(module: str) -> Any:
 
 
 @eqx.filter_jit
-def _values(trajectory: Trajectory, names: tuple[str, ...]) -> dict[str, Array]:
+def _values(motion: AbstractMotion, names: tuple[str, ...]) -> dict[str, Array]:
     """All variables in one program: parts that they share are computed once."""
-    return {name: getattr(trajectory, name) for name in names}
+    return {name: getattr(motion, name) for name in names}
 
 
 def _lanes(trajectory: Trajectory) -> tuple[str, ...]:
@@ -170,9 +208,10 @@ def _lanes(trajectory: Trajectory) -> tuple[str, ...]:
     return ("lane",) if count == 1 else tuple(f"lane_{i}" for i in range(count))
 
 
-def _labels(long_name: str, units: str, axes: str) -> dict[str, str]:
-    labels = {"long_name": long_name, "units": units, "axes": axes}
-    return {name: text for name, text in labels.items() if text}
+def labels(long_name: str, units: str, axes: str) -> dict[str, str]:
+    """Attributes of a variable; what is empty is left out."""
+    every = {"long_name": long_name, "units": units, "axes": axes}
+    return {name: text for name, text in every.items() if text}
 
 
 def _ends(trajectory: Trajectory) -> dict[str, np.ndarray]:

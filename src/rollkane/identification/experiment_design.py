@@ -12,6 +12,7 @@ from jaxtyping import Array
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError, whole
 from . import uncertainty
 from .estimates import expected_errors
@@ -20,7 +21,7 @@ from .fitting import problem_of
 from .layout import Layout
 from .parameters import Free, Model
 from .records import Record
-from .residuals import Options, linearized, within
+from .residuals import linearized, within
 
 CRITERIA = ("D", "A")
 _SMALLEST = 1e-3  # step at which the ascent ends [of the variables' size]
@@ -59,7 +60,7 @@ class _Plan(NamedTuple):
     wanted: tuple[str, ...]
     criterion: str
     modes: Modes | None
-    options: Options
+    options: RunOptions
 
     def problem(self, scene: Scene, start: State) -> Problem:
         """The fit that would follow."""
@@ -131,7 +132,7 @@ def design_experiment(
         remedy = "give starts"
         raise FieldError("design_experiment.candidates", pairs, "is empty", remedy)
     steps = whole("design_experiment.steps", steps, 0, "give how many")
-    options = Options(rtol, None, None, method)
+    options = RunOptions(rtol, None, None, method)
     plan = _Plan(record, chosen, names, criterion, modes, options)
     scores = np.array([_score(plan, plan.problem(*pair)) for pair in pairs])
     best = int(np.argmax(scores))

@@ -12,12 +12,13 @@ from jaxtyping import Array
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
+from ..simulation.run_options import RunOptions
 from ..validation.codes import Code
 from .layout import Coordinates, Layout
 from .least_squares import Evaluation
 from .parameters import Free, Model, Tied
 from .records import Record
-from .residuals import Group, Options, Residuals, grouped, linearized, within
+from .residuals import Group, Residuals, grouped, linearized, within
 from .transforms import AbstractTransform
 
 # Least noise of a channel without sigma, before a fit has seen its misfits [its size].
@@ -55,7 +56,7 @@ class Problem:
         records: Sequence[Record],
         free: tuple[Free | Tied, ...],
         modes: Modes | None,
-        options: Options,
+        options: RunOptions,
     ):
         """Find the parameters in the scene, the starts and the records."""
         self.records = list(records)

@@ -9,6 +9,7 @@ from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
 from ..simulation.run_checks import check_span
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError, not_negative, whole
 from .experiments import Problem
 from .fit_result import Fit
@@ -16,7 +17,7 @@ from .horizons import Search, followed, progressive, single
 from .least_squares import Evaluation, Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
-from .residuals import Group, Options, with_delay_bounds
+from .residuals import Group, with_delay_bounds
 from .uncertainty import unseen_directions
 from .unit_hints import hint_of_units
 
@@ -75,7 +76,7 @@ def fit(
     Raises:
         FieldError: records, parameters, bounds or priors that do not fit each other.
     """
-    options = Options(rtol, atol, max_steps, method)
+    options = RunOptions(rtol, atol, max_steps, method)
     problem = problem_of(scene, start, record, free, modes, options)
     known = loss_of(loss)
     if strategy not in STRATEGIES:
@@ -111,7 +112,7 @@ def problem_of(
     record: Any,
     free: Any,
     modes: Modes | None,
-    options: Options,
+    options: RunOptions,
 ) -> Problem:
     """The records as one least-squares problem, checked; each may be one or several.
 

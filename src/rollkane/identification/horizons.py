@@ -20,7 +20,7 @@ _FOLLOWS = 0.2
 _SAMPLES = 3.0  # for each coordinate, at least
 _FEW = 30  # points tried at one horizon: a longer one follows
 _ENOUGH = 1.0  # promised fall of chi2 at one horizon: a standard deviation
-_GUESSES, _AROUND = 12, 0.2  # others that are tried, and their deviation [of the size]
+_GUESSES, _AROUND = 24, 0.2  # others that are tried, and their deviation [of the size]
 _WEAK = 1.0  # deviation of a coordinate [of its size] while the horizon is short
 
 
@@ -61,7 +61,7 @@ def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Searc
     growth = _Growth(problem, loss, z)
     horizon = followed(problem, z, least=_shortest(problem))
     guesses = _GUESSES
-    while horizon < problem.span and growth.evaluations < most:
+    while horizon < problem.span:
         found = growth.searched(z, horizon)
         while guesses and followed(problem, found.z, 0.0, horizon) < horizon:
             guesses -= 1

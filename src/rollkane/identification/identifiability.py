@@ -8,12 +8,12 @@ import numpy as np
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
+from ..simulation.run_options import RunOptions
 from . import uncertainty
 from .estimates import expected_errors
 from .fitting import check_usable, problem_of
 from .parameters import Free, Tied
 from .records import Record
-from .residuals import Options
 from .unseen import REMEDY, described
 
 _POORLY = 1.0  # relative error above which a direction is known in name only
@@ -92,7 +92,7 @@ def identifiability(
     Raises:
         FieldError: records or parameters that do not fit each other.
     """
-    options = Options(rtol, None, None, method)
+    options = RunOptions(rtol, None, None, method)
     problem = problem_of(scene, start, record, free, modes, options)
     layout = problem.layout
     z = layout.start

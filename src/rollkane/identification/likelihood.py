@@ -7,10 +7,11 @@ from jaxtyping import Array, Float
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError
 from .parameters import Model
 from .records import Record
-from .residuals import Options, grouped, residuals_of
+from .residuals import grouped, residuals_of
 
 
 def negative_log_likelihood(
@@ -53,6 +54,6 @@ def negative_log_likelihood(
     groups = grouped(record, (), {})
     everything = tuple(jnp.ones(np.shape(g.time), bool) for g in groups)
     model = Model(scene, start, modes, record.channels)
-    options = Options(rtol, atol, max_steps, method)
+    options = RunOptions(rtol, atol, max_steps, method)
     found = residuals_of(model, groups, everything, record.start_time, options)
     return 0.5 * jnp.sum(found.misfit**2)

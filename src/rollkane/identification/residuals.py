@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..simulation.run import simulate
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError
 from .channels import AbstractChannel
 from .parameters import Free, Model, Slots, Tied
@@ -28,15 +29,6 @@ _BEHIND = 1e-6
 _LOST = 10.0
 # Misfits, which of them are samples, and which are reached.
 _Rows: TypeAlias = tuple[Array, Array, Array]
-
-
-class Options(NamedTuple):
-    """How runs are made: of ``simulate``."""
-
-    rtol: float | None = None
-    atol: float | None = None
-    max_steps: int | None = None
-    method: str = "auto"
 
 
 class Group(eqx.Module):
@@ -187,7 +179,7 @@ def linearized(
     groups: tuple[Group, ...],
     counts: tuple[Bool[Array, " T"], ...],
     start_time: Float[Array, ""],
-    options: Options,
+    options: RunOptions,
     z: Float[Array, " P"],
 ) -> Linearized:
     """Misfits and their derivatives by a record's coordinates."""
@@ -208,7 +200,7 @@ def residuals_of(
     groups: tuple[Group, ...],
     counts: tuple[Bool[Array, " T"], ...],
     start_time: Float[Array, ""],
-    options: Options,
+    options: RunOptions,
 ) -> Residuals:
     """Misfits of a model."""
     parts = [
@@ -229,7 +221,7 @@ def _of_group(
     group: Group,
     count: Bool[Array, " T"],
     start_time: Float[Array, ""],
-    options: Options,
+    options: RunOptions,
 ) -> tuple[Array, Array, Array, Array]:
     """Of a group's channels what :class:`Residuals` has, and the code of its run."""
     time = group.time
@@ -242,10 +234,7 @@ def _of_group(
         model.start,
         times,
         modes=model.modes,
-        rtol=options.rtol,
-        atol=options.atol,
-        max_steps=options.max_steps,
-        method=options.method,
+        **options._asdict(),
     )
     found: list[_Rows] = []
     for name, samples in group.channels.items():

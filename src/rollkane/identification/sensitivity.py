@@ -17,10 +17,10 @@ from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState
 from ..simulation.run import simulate
 from ..simulation.run_checks import check_span
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError
 from .layout import Coordinates, Layout
 from .parameters import Free, Model, located, with_number
-from .residuals import Options
 
 Observable = Callable[[Scene, Array, AnyState], Array]
 
@@ -108,7 +108,7 @@ def sensitivity(
     check_span(scene, known)
     model = Model(scene, start, modes, {})
     entries = Layout([model], wanted).entries
-    options = Options(rtol, atol, max_steps, method)
+    options = RunOptions(rtol, atol, max_steps, method)
     functions = tuple(sorted(observe.items()))
     transforms = tuple(entry.transform for entry in entries)
     keys = tuple(located(entry.free.path, {}) for entry in entries)
@@ -139,7 +139,7 @@ def _names(entry: Coordinates) -> tuple[str, ...]:
 def _derivatives(
     functions: tuple[tuple[str, Observable], ...],
     keys: tuple[tuple[str | int, ...], ...],
-    options: Options,
+    options: RunOptions,
     model: Model,
     transforms: Any,
     times: Array,
@@ -156,10 +156,7 @@ def _derivatives(
             changed.start,
             times,
             modes=changed.modes,
-            rtol=options.rtol,
-            atol=options.atol,
-            max_steps=options.max_steps,
-            method=options.method,
+            **options._asdict(),
         )
         found = {name: run.each(function) for name, function in functions}
         return found, (found, run.code)

@@ -49,8 +49,11 @@ class Spectrum(NamedTuple):
 def spectrum(
     jacobian: np.ndarray, scale: np.ndarray, rounding: float = 0.0
 ) -> Spectrum:
-    """Singular values of ``jacobian * scale``."""
+    """Singular values of ``jacobian * scale``; where it is not finite, all are zero."""
     columns = jacobian * scale
+    if not np.isfinite(columns).all():
+        nothing = np.zeros(scale.size)
+        return Spectrum(nothing, np.eye(scale.size), scale, rounding)
     if columns.shape[0] < columns.shape[1]:
         missing = columns.shape[1] - columns.shape[0]
         columns = np.concatenate([columns, np.zeros((missing, columns.shape[1]))])

@@ -1,9 +1,5 @@
 """A step controller that ends steps on events."""
 
-# equinox lets a property stand for an abstract field
-# pyright: reportIncompatibleVariableOverride=false
-# pyright: reportIncompatibleMethodOverride=false
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
@@ -15,9 +11,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..validation.codes import Code, is_stuck
+from .controller_interface import (
+    AbstractAround,
+    Adapted,
+    Number,
+    RunStart,
+    Sense,
+    TriedStep,
+)
 from .event_search import Events, Happened, Search, judged, layout_of
 from .plans import Solution
-from .step_control import Adapted, Number, Sense
 
 # A refused step is shortened to this at least
 _SHORTEST = 0.2
@@ -39,7 +42,7 @@ class Watched(NamedTuple):
     blind: Int[Array, ""]
 
 
-class Watching(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
+class Watching(AbstractAround):
     """Steps of another controller, of which some end on events.
 
     A step after which an event is not a number is refused: so the run goes as far as
@@ -59,69 +62,33 @@ class Watching(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
     values: Callable[..., Array] = eqx.field(static=True)
     sense: Any = 1.0
 
-    @property
-    def rtol(self) -> Number:
-        """Of the controller; implicit methods solve to it."""
-        return self.controller.rtol
-
-    @property
-    def atol(self) -> Number:
-        """Of the controller."""
-        return self.controller.atol
-
-    @property
-    def norm(self) -> Callable[[Any], Number]:
-        """Of the controller."""
-        return self.controller.norm
-
     def wrap(self, direction: Sense) -> Any:
         """The controller for the direction of time in which diffrax works."""
         parts = self.controller.wrap(direction), direction
         return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
 
-    def init(
-        self,
-        terms: Any,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        dt0: Any,
-        args: Any,
-        func: Callable[..., Any],
-        error_order: Number | None,
-    ) -> tuple[Number, Watched]:
+    def first_step(self, start: RunStart) -> tuple[Number, Watched]:
         """As the controller, with the events' values at the start."""
-        first, inner = self.controller.init(
-            terms, t0, t1, y0, dt0, args, func, error_order
-        )
-        t0 = cast(Array, t0)
-        values = self.values(self.events, args, t0 * self.sense, y0)
+        first, inner = self.controller.init(*start)
+        t0, y0 = cast(Array, start.t0), start.y0
+        values = self.values(self.events, start.args, t0 * self.sense, y0)
         none = Happened.none(layout_of(self.events), y0)
         begun = Search.begun(t0, values)
         return first, Watched(inner, begun, none, jnp.asarray(-1))
 
-    def adapt_step_size(
-        self,
-        t0: Number,
-        t1: Number,
-        y0: Any,
-        y1_candidate: Any,
-        args: Any,
-        y_error: Any,
-        error_order: Number,
-        controller_state: Watched,
-    ) -> Adapted:
+    def adapted(self, step: TriedStep) -> Adapted:
         """As the controller, where no event is behind the step; else the next try."""
-        inner, search, happened, _ = controller_state
-        t0, t1 = cast("tuple[Array, Array]", (t0, t1))
+        inner, search, happened, _ = cast(Watched, step.controller_state)
+        t0, t1 = cast("tuple[Array, Array]", (step.t0, step.t1))
         layout = layout_of(self.events)
-        values = self.values(self.events, args, t1 * self.sense, y1_candidate)
+        end = step.y1_candidate
+        values = self.values(self.events, step.args, t1 * self.sense, end)
         lost = jnp.isnan(values)
         unseen = jnp.isnan(search.values)
         blind = jnp.any(lost | unseen)
-        error = jnp.where(blind, jnp.asarray(jnp.inf, y_error.dtype), y_error)
+        error = jnp.where(blind, jnp.asarray(jnp.inf, step.y_error.dtype), step.y_error)
         good, next_t0, next_t1, jump, after, _ = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, error, error_order, inner
+            *step._replace(y_error=error, controller_state=inner)
         )
         found = judged(layout, search, t0, t1, values, good & ~blind)
         looks = good & ~found.stands
@@ -136,7 +103,7 @@ class Watching(dfx.AbstractAdaptiveStepSizeController[Any, Any]):
         memory = Watched(
             _chosen(looks, inner, after),
             found.search,
-            happened.after(layout, found.fires, t1, y1_candidate),
+            happened.after(layout, found.fires, t1, end),
             jnp.where(blind, jnp.argmax(lost | unseen), -1),
         )
         next_t0 = jnp.where(keep, next_t0, t0)

@@ -11,13 +11,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..dynamics.mass_matrix import shares
-from ..dynamics.observables import energy, kept_energy, moving_energy
+from ..dynamics.observables import (
+    energy,
+    kept_energy,
+    moving_energy,
+    velocity_of_origin,
+)
 from ..dynamics.rolling import contact_force, contact_of
 from ..dynamics.scene import Scene
 from ..dynamics.supported import SupportedBody
 from ..geometry.numpy_rotations import rotated
 from ..geometry.rotations import in_one_sense, quaternion_of
-from ..geometry.small_linear import cross, matvec, norm
+from ..geometry.small_linear import matvec, norm
 from ..kinematics.base_motion import BaseKinematics
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
@@ -193,15 +198,12 @@ def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
     quaternion = contact.orientation
     if quaternion is None:
         quaternion = quaternion_of(rotation)
-    velocity = cross(arm, spin)  # of the body origin, from the contact point
-    if contact.point_velocity is not None:
-        velocity = velocity + matvec(rotation, contact.point_velocity)
     return jnp.concatenate(
         [
             contact.position,
             quaternion / norm(quaternion),
             spin,
-            velocity,
+            velocity_of_origin(contact),
             contact.base_point,
             contact.body_point,
             -matvec(rotation, contact.normal),

@@ -3,23 +3,25 @@
 import dataclasses
 import functools
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeAlias, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Literal, jaxpr_as_fun
+from jaxtyping import Array
 
 from ..dynamics.scene import Scene
+from ..hybrid.modes import HybridScene, Modes
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
 
 # For each leaf of a tree: 0 where members differ, else None.
 _Axes: TypeAlias = list[int | None]
 _Leaf: TypeAlias = tuple[tuple[Any, ...], Any]  # of a tree: its path, and itself
-# Of a leaf, and of its axis of members.
-_OfLeaf: TypeAlias = Callable[[Any, int | None], Any]
+# Of the axis of members of a leaf, and of the leaf.
+OfLeaf: TypeAlias = Callable[[int | None, Any], Any]
 
 
 class Members(NamedTuple):
@@ -42,16 +44,16 @@ class Members(NamedTuple):
 
     def example(self) -> tuple[Scene, State]:
         """The scene and the start of the first member."""
-        first: _OfLeaf = lambda x, axis: x if axis is None else _at(x, 0)
+        first: OfLeaf = lambda axis, x: x if axis is None else _at(x, 0)
         return self.mapped(first, *self.block(0, 1))
 
     def mapped(
-        self, function: _OfLeaf, scene: Scene, starts: State
+        self, function: OfLeaf, scene: Scene, starts: State
     ) -> tuple[Scene, State]:
-        """``function(leaf, axis)`` of every leaf of a block."""
+        """``function(axis, leaf)`` of every leaf of a block."""
         return (
-            _mapped(function, scene, self.scene_axes),
-            _mapped(function, starts, self.start_axes),
+            by_axis(function, self.scene_axes, scene),
+            by_axis(function, self.start_axes, starts),
         )
 
     def block(self, first: int, last: int) -> tuple[Scene, State]:
@@ -67,6 +69,24 @@ class Members(NamedTuple):
             jax.tree.unflatten(_structure(self.scene), self.scene_axes),
             jax.tree.unflatten(_structure(self.starts), self.start_axes),
         )
+
+    def axes_of_scene(self, modes: Modes | None) -> tuple[int | None, ...]:
+        """For each leaf of one scene, as a run in modes has it if there are some."""
+        if modes is None:
+            return tuple(self.scene_axes)
+        shared = -1  # for None would be no leaf
+        marks = [shared if axis is None else axis for axis in self.scene_axes]
+        scene = jax.tree.unflatten(_structure(self.scene), marks)
+        of_modes: Callable[[Any], int] = lambda _: shared
+        marked = HybridScene(scene, jax.tree.map(of_modes, modes))
+        found = cast("list[int]", jax.tree.leaves(marked))
+        return tuple(None if mark == shared else mark for mark in found)
+
+    def given_scene(self, modes: Modes | None) -> Scene | None:
+        """The scene of all members as it was given; None where it is made."""
+        if _is_made(self.scene):
+            return None
+        return self.scene if modes is None else HybridScene(self.scene, modes)
 
 
 def members_of(
@@ -122,18 +142,27 @@ def _refuse_unclear(scene: Scene, axes: _Axes, sizes: set[int]) -> None:
             )
 
 
-def _mapped(function: _OfLeaf, tree: Any, axes: _Axes) -> Any:
-    leaves, shape = cast(tuple[list[Any], Any], jax.tree.flatten(tree))
-    both = zip(leaves, axes, strict=True)
-    return jax.tree.unflatten(shape, [function(x, axis) for x, axis in both])
+def by_axis(
+    function: Callable[..., Any], axes: Sequence[int | None], *trees: Any
+) -> Any:
+    """``function(axis, *leaves)`` of every leaf of trees of one structure.
+
+    Args:
+        function: Of 0 or None, as members differ in a leaf or not, and of the leaves.
+        axes: For each leaf.
+        trees: Of which the leaves are.
+    """
+    shape = cast(Any, jax.tree.structure(trees[0]))
+    each = zip(axes, *map(jax.tree.leaves, trees), strict=True)
+    return jax.tree.unflatten(shape, [function(*leaf) for leaf in each])
 
 
 def _block(whole: Any, axes: _Axes, first: int, last: int) -> Any:
     if _is_made(whole):
-        return _made(whole)(jnp.arange(first, last))
+        return _made(whole).block(first, last)
     some = slice(first, last)
-    part: _OfLeaf = lambda x, axis: x if axis is None else _at(x, some)
-    return _mapped(part, whole, axes)
+    part: OfLeaf = lambda axis, x: x if axis is None else _at(x, some)
+    return by_axis(part, axes, whole)
 
 
 def _at(x: Any, place: Any) -> Any:
@@ -148,17 +177,35 @@ def _is_made(whole: Any) -> bool:
 
 
 def _structure(whole: Any) -> Any:
-    one = _one_made(whole) if _is_made(whole) else whole
-    return cast(Any, jax.tree.structure(one))
+    return cast(Any, jax.tree.structure(_made(whole).one if _is_made(whole) else whole))
 
 
-def _one_made(function: Callable[..., Any]) -> Any:
-    return jax.eval_shape(function, jax.ShapeDtypeStruct((), jnp.int_))
+class _Made(NamedTuple):
+    """What a function makes of a member's number, and how of many at once."""
+
+    one: Any
+    axes: tuple[int | None, ...]
+    leaves: Callable[[Array], list[Array]]
+
+    def block(self, first: int, last: int) -> Any:
+        """Of the members from one to another."""
+        numbers = self.leaves(jnp.arange(first, last))
+        return jax.tree.unflatten(cast(Any, jax.tree.structure(self.one)), numbers)
 
 
 @functools.lru_cache(maxsize=16)  # every block asks for it
-def _made(function: Callable[..., Any]) -> Callable[..., Any]:
-    return eqx.filter_jit(jax.vmap(function))
+def _made(function: Callable[..., Any]) -> _Made:
+    """Traced once: what does not depend on the member's number is shared by all."""
+    number = jax.ShapeDtypeStruct((), jnp.int_)
+    program, one = jax.make_jaxpr(function, return_shape=True)(number)
+    own = set(program.jaxpr.invars)
+    depends: Callable[[Any], bool] = lambda x: not isinstance(x, Literal) and x in own
+    for equation in program.jaxpr.eqns:
+        if any(map(depends, equation.invars)):
+            own.update(equation.outvars)
+    axes = tuple(0 if depends(x) else None for x in program.jaxpr.outvars)
+    again = cast("Callable[[Array], list[Array]]", jaxpr_as_fun(program))
+    return _Made(one, axes, jax.jit(jax.vmap(again, out_axes=list(axes))))
 
 
 def _sizes(whole: Any, axes: _Axes) -> set[int]:
@@ -171,9 +218,9 @@ def _sizes(whole: Any, axes: _Axes) -> set[int]:
 def _axes_of(name: str, whole: Any, kind: type, given: Any) -> list[int | None]:
     field = f"ensemble.{name}"
     if _is_made(whole):
-        one = _one_made(whole)
-        _check_kind(field, one, kind)
-        return [0 for _ in jax.tree.leaves(one)]
+        made = _made(whole)
+        _check_kind(field, made.one, kind)
+        return list(made.axes)
     _check_kind(field, whole, kind)
     if given is not None:
         return _spread(field, given, whole)
@@ -229,7 +276,7 @@ def _declared_rank(whole: Any, path: tuple[Any, ...]) -> int | None:
     for key in path:
         rank = None
         if isinstance(key, jax.tree_util.GetAttrKey):
-            rank = _rank_of_field(type(owner), key.name)
+            rank = _rank_of_field(cast(Any, type(owner)), key.name)
             owner = getattr(owner, key.name)
         elif isinstance(key, jax.tree_util.SequenceKey):
             owner = owner[key.idx]
@@ -240,6 +287,7 @@ def _declared_rank(whole: Any, path: tuple[Any, ...]) -> int | None:
     return rank
 
 
+@functools.cache  # of a class and its field
 def _rank_of_field(owner: Any, name: str) -> int | None:
     if not dataclasses.is_dataclass(owner):
         return None

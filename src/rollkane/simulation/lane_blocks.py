@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from numpy.typing import NDArray
 
 from ..codegen import LaneLoop, Looked, NoCompilerError, Queue, Results, Stops, zeros_of
+from ..codegen.dependence import reached_outputs
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain, weights_of
 from ..dynamics.consistency import consistent
@@ -31,7 +32,7 @@ from ..integration.solve import unbroken_numbers
 from ..integration.step_control import first_step, landings, stops_of
 from ..kinematics.coordinates import pack, unpack
 from ..validation.codes import NO_FAULT, first_fault, is_stuck
-from .ensemble_members import Members
+from .ensemble_members import Members, OfLeaf, by_axis
 
 
 class NotForLanesError(Exception):
@@ -90,7 +91,7 @@ class LaneBlocks:
         leaves, tree = both
         self._events = [np.asarray(x).reshape(-1) for x in jax.tree.leaves(events)]
         own = tuple(axis is not None for axis in axes)
-        self._explains = explains_ends(scene, start)
+        self._example = scene, start
         self._outputs = stops_of(times)
         self._stops = self._landings(scene, members)
         kind = _Kind(
@@ -122,7 +123,7 @@ class LaneBlocks:
         sense = -1.0 if times[-1] < times[0] else 1.0
         if kinks is None:
             ends = starts = np.unique(sense * times[1:])
-        elif jax.tree.leaves(members.axes()[0].base.motion):
+        elif _corners_differ(scene, members.scene_axes):
             raise NotForLanesError("the times of corners differ from member to member")
         else:
             found = landings(jnp.asarray(times), kinks, jump)
@@ -137,13 +138,16 @@ class LaneBlocks:
         slots = np.where(sense * times[at] >= ends, at - 1, -1)
         return Stops(ends, starts, slots, len(times) - 1)
 
-    def run(self, scene: Any, starts: Any, count: int) -> tuple[np.ndarray, Results]:
+    def run(
+        self, scene: Any, starts: Any, count: int, wanted: int
+    ) -> tuple[np.ndarray, Results]:
         """Integrate one block.
 
         Args:
             scene: Scenes of the block, batched where members differ.
             starts: Their starts, likewise.
             count: How many there are.
+            wanted: How many of them, M, are integrated, the first ones.
 
         Returns:
             Packed states at the times, shape (M, T, n), and all results.
@@ -151,16 +155,16 @@ class LaneBlocks:
         span = np.abs(self._times[-1] - self._times[0])
         axes = self._members.axes()
         prepared = _prepared(axes, count, scene, starts, self._times[0], span)
-        begun: list[NDArray[Any]] = [np.asarray(x) for x in prepared]
+        begun: list[NDArray[Any]] = [np.asarray(x)[:wanted] for x in prepared]
         y0, sizes, steps, fault, code_of_fault = begun
-        own, shared = [np.zeros((count, 0))], [np.zeros(0)]
+        own, shared = [np.zeros((wanted, 0))], [np.zeros(0)]
         leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
         for leaf, axis in leaves:
             leaf = np.asarray(leaf)
             if axis is None:
                 shared.append(leaf.reshape(-1))
             else:
-                own.append(leaf.reshape(count, -1))
+                own.append(leaf.reshape(count, -1)[:wanted])
         shared += self._events
         scale = sizes if self._by_size else np.ones_like(y0)
         sense = -1.0 if self._times[-1] < self._times[0] else 1.0
@@ -194,7 +198,8 @@ class LaneBlocks:
             results.moments[~good] = np.nan
             results.numbers[~good] = [0] * (results.numbers.shape[1] - 1) + [-1]
         code = results.code
-        if self._explains and is_stuck(code[good]).any():
+        # asked last: it traces the surfaces' ends
+        if is_stuck(code[good]).any() and explains_ends(*self._example):
             code = self._code(scene, results)
         code = np.where(good, code, code_of_fault)
         return y, results._replace(code=code, fault=fault)
@@ -207,6 +212,9 @@ class LaneBlocks:
         """The codes, once it is seen what a small step was."""
         mapped = jax.vmap(explained, in_axes=(0, self._members.axes()[0], 0, 0))
         state = self.states(results.final_y)
+        some = slice(len(results.code))
+        mine: OfLeaf = lambda axis, x: x if axis is None else x[some]
+        scene = by_axis(mine, self._members.scene_axes, scene)
         known = results.code, scene, results.final_time, state
         return np.asarray(cast(Array, mapped(*known)))
 
@@ -254,6 +262,20 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
         watch=unbroken_numbers(unbroken, example, like),
         events=Looked(values, layout_of(events)) if events else None,
     )
+
+
+def _corners_differ(scene: Any, axes: list[int | None]) -> bool:
+    """Whether numbers in which members differ reach the times of corners."""
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(scene))
+    places = [i for i, axis in enumerate(axes) if axis is not None]
+
+    def times(own: list[Any]) -> Any:
+        known = dict(zip(places, own, strict=True))
+        every = [known.get(i, leaf) for i, leaf in enumerate(leaves)]
+        return corners(jax.tree.unflatten(tree, every))[0]
+
+    program = jax.make_jaxpr(times)([leaves[i] for i in places])
+    return any(reached_outputs(program.jaxpr))
 
 
 def _shape_of(x: Any) -> jax.ShapeDtypeStruct:

@@ -21,12 +21,13 @@ from ..dynamics.scene import Scene
 from ..integration.integrate import tolerances
 from ..kinematics.coordinates import State
 from ..simulation.run_checks import check_span
+from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError, is_traced, positive, real, whole
 from ..validation.codes import Code, reason_of
 from .independent_coordinates import IndependentCoordinates, independent_coordinates
 from .neutral import neutral
 from .symmetries import symmetries
-from .variational import RunOptions, carried, frame
+from .variational import carried, frame
 
 # The horizon in equal batches; exponents are of its second half, 32 of them.
 _BATCHES = 64

@@ -11,6 +11,7 @@ from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..simulation.run import simulate
 from ..simulation.run_checks import check_span
+from ..simulation.run_options import RunOptions
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError, is_traced, positive, real, whole
 from .closing_newton import PERIOD, Held, Solved, coordinates_of, scales, solve
@@ -20,7 +21,6 @@ from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
 from .shooting import Nodes, Shooting, again, closing, measured, offset, segment
 from .symmetries import Symmetries, symmetries
-from .variational import RunOptions
 
 _FIELD = "periodic_motion"
 # Tolerance of shooting: Newton's method ends where runs end to be repeatable.

@@ -18,9 +18,10 @@ from ..codegen.compile_effort import around_a_loop, for_one_call
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State, pack
+from ..simulation.run_options import RunOptions
 from .independent_coordinates import IndependentCoordinates
 from .symmetries import Symmetries
-from .variational import RunOptions, carried
+from .variational import carried
 
 # ``quantity(scene, t, state)`` -> a number.
 Quantity = Callable[[Scene, Array, Any], Array]

@@ -15,18 +15,10 @@ from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..simulation.run import simulate
+from ..simulation.run_options import RunOptions
 from .independent_coordinates import IndependentCoordinates
 
 _Pushed: TypeAlias = tuple[tuple[State, Array], tuple[State, Any]]
-
-
-class RunOptions(NamedTuple):
-    """How runs are made: of ``simulate``."""
-
-    rtol: float | None = None
-    atol: float | None = None
-    max_steps: int | None = None
-    method: str = "auto"
 
 
 class Carried(NamedTuple):

@@ -264,7 +264,7 @@ def _extended(task: Task, steps: int) -> list[tuple[str, Trajectory]]:
         return []
 
     def at_once(loop: LaneBlocks) -> tuple[np.ndarray, Any]:
-        return loop.run(*members.block(0, 1), 1)
+        return loop.run(*members.block(0, 1), 1, 1)
 
     with ThreadPoolExecutor() as pool:
         found = list(pool.map(at_once, loops))

@@ -65,6 +65,12 @@ _REASONS = {
     "final_time and final_state on",
 }
 
+_NAMES = {
+    code: name.lower().replace("_", " ")
+    for name, code in vars(Code).items()
+    if not name.startswith("_")
+}
+
 NO_FAULT = -1
 _REFUSED = (
     "a check refuses what was given there, or it was NaN; make the same with numbers "
@@ -100,6 +106,10 @@ class Fields(NamedTuple):
     def times(self) -> int:
         """Number that stands for the output times."""
         return len(self.names)
+
+    def name_of(self, fault: SupportsInt) -> str:
+        """Name of a field by its number; nothing for ``NO_FAULT``."""
+        return "" if int(fault) == NO_FAULT else (*self.names, "times")[int(fault)]
 
     def reason(self, code: SupportsInt, fault: SupportsInt, event: str = "") -> str:
         """What a code says, with the field at fault.
@@ -152,6 +162,18 @@ def first_fault(
 def is_stuck(code: Any) -> Any:
     """Whether steps became too short for the clock, for a reason still to be found."""
     return (code == Code.STEP_TOO_SMALL) | (code == Code.BAD_START)
+
+
+def outcome_of(code: SupportsInt, event: str = "", field: str = "") -> str:
+    """A code in a word or two, with what it names.
+
+    Args:
+        code: One of :class:`Code`.
+        event: Name of the event that ended the run, if one did.
+        field: Name of the field that cannot be used, if it is one.
+    """
+    name, what = _NAMES[int(code)], event or field
+    return f"{name}: {what}" if what else name
 
 
 def reason_of(code: SupportsInt) -> str:

@@ -95,6 +95,21 @@ def load_scene(source: str | PathLike[str]) -> SceneFile:
     )
 
 
+def read_tables(source: str | PathLike[str]) -> Report:
+    """The tables of any TOML file, with the places of their keys and values.
+
+    Args:
+        source: Its path.
+
+    Raises:
+        SceneFileError: it cannot be read, or is not TOML.
+    """
+    file, _, text = _read(source)
+    report = Report(file, text)
+    _parsed(report)
+    return report
+
+
 def builtin_scenes() -> dict[str, str]:
     """Names of the scenes that come with rollkane, with the first line of each.
 

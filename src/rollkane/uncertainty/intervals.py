@@ -26,7 +26,8 @@ def checked_level(level: Any) -> float:
     Raises:
         FieldError: it is not.
     """
-    found = float(real("level", level, (), "a level of confidence, as 0.95"))
+    real("level", level, (), "a level of confidence, as 0.95")
+    found = float(level)  # in double precision, whatever JAX computes in
     if not 0.0 < found < 1.0:
         remedy = "give 0.95 for 95 %"
         raise FieldError("level", level, "must lie between 0 and 1", remedy)

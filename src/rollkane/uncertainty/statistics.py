@@ -291,7 +291,7 @@ class Statistics:
         Returns:
             Value and both ends [the unit of the value], each in its shape: order
             statistics, moved outwards by the error of rank of what is kept
-            (:class:`~rollkane.monte_carlo.quantile_sketch.GroupedSketch`).
+            (:class:`~rollkane.uncertainty.quantile_sketch.GroupedSketch`).
 
         Raises:
             FieldError: no number, or q or level outside of 0 to 1.

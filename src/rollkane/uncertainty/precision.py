@@ -92,4 +92,5 @@ class Precision:
 def _width(field: str, value: Any) -> float | None:
     if value is None:
         return None
-    return float(positive(f"Precision.{field}", value, (), "a half width above zero"))
+    positive(f"Precision.{field}", value, (), "a half width above zero")
+    return float(value)

@@ -13,7 +13,7 @@ def table(found: Any) -> str:
     """Counts, a row for each entry, and what has to be said beside it.
 
     Args:
-        found: :class:`~rollkane.monte_carlo.statistics.Statistics`.
+        found: :class:`~rollkane.uncertainty.statistics.Statistics`.
     """
     lines = [_heading(found)]
     numbers = [row for name in found.numbers for row in _number_rows(found, name)]

@@ -18,7 +18,8 @@ def checked_edges(edges: Mapping[str, Any]) -> dict[str, np.ndarray]:
     found: dict[str, np.ndarray] = {}
     for label, given in edges.items():
         field = f"edges[{label!r}]"
-        array = np.asarray(real(field, given, (None,), "edges of bins"), np.float64)
+        real(field, given, (None,), "edges of bins")
+        array = np.asarray(given, np.float64)
         if len(array) < 2 or not np.all(np.diff(array) > 0.0):
             remedy = "give at least two numbers, each larger than the one before"
             raise FieldError(field, given, "must increase", remedy)
@@ -32,7 +33,8 @@ def checked_share(q: Any) -> float:
     Raises:
         FieldError: it is not.
     """
-    share = float(real("q", q, (), "which quantile, as 0.5"))
+    real("q", q, (), "which quantile, as 0.5")
+    share = float(q)  # in double precision, whatever JAX computes in
     if not 0.0 < share < 1.0:
         remedy = "give 0.5 for the median; minimum and maximum are there, too"
         raise FieldError("q", q, "must lie between 0 and 1", remedy)

@@ -1,0 +1,246 @@
+"""What every motion can be asked for: quantities of its states, when asked."""
+
+import abc
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..dynamics import observables
+from ..dynamics.rolling import contact_force
+from ..dynamics.scene import Scene
+from ..geometry.rotations import in_one_sense
+from ..hybrid.modes import Mode, ModedState, by_mode
+from ..kinematics.coordinates import State
+from ..validation.codes import Code
+from .event_record import Crossings
+
+Observable: TypeAlias = Callable[[Scene, Float[Array, ""], Any], Any]
+
+
+class Axis(NamedTuple):
+    """One axis that states have in front: which else has it.
+
+    Attributes:
+        scene: For each array of the scene 0 or None (not); None: no array has it.
+        time: 0 or None (not), of the times.
+    """
+
+    scene: tuple[int | None, ...] | None
+    time: int | None
+
+
+class Samples(NamedTuple):
+    """States of a motion or of many, and what belongs to them.
+
+    Attributes:
+        scene: What moved.
+        time: [s].
+        state: States.
+        axes: Those in front of the states, from the first; axes before these are a
+            batch of all.
+    """
+
+    scene: Scene
+    time: Any
+    state: Any
+    axes: tuple[Axis, ...]
+
+
+class AbstractMotion(abc.ABC):
+    """States at some times, of one motion or of many, and what follows from them.
+
+    Quantities have the axes of the states in front: (T, ...) of one motion, (N, T, ...)
+    of N members of an ensemble, the batch before it under ``vmap``.
+    """
+
+    code: Any
+    event_record: Any
+
+    @abc.abstractmethod
+    def _samples(self) -> Samples:
+        """States, with their scene and times."""
+
+    def each(self, observable: Observable) -> Any:
+        """An observable of one state, at every time of every motion.
+
+        Args:
+            observable: Function of the scene, the time [s] and one state, such as
+                those of ``rollkane.dynamics.observables``.
+
+        Returns:
+            Its values, shape (T, ...), with the members or the batch in front if there
+            are some.
+
+        Raises:
+            FieldError: the motion has no states.
+        """
+        samples = self._samples()
+        values = evaluated(observable, *samples)
+        known = all(map(_is_numpy, jax.tree.leaves(samples.state)))
+        return jax.tree.map(np.asarray, values) if known else values
+
+    @property
+    def mode(self) -> Int[Array, " T"]:
+        """Whether it rolls, slips or flies, one of :class:`Mode`, shape (T,)."""
+        scene, _, state, _ = self._samples()
+        if isinstance(state, ModedState):
+            return state.mode
+        mode = Mode.SLIPPING if scene.contact.slips else Mode.ROLLING
+        return jnp.full(state.angular_velocity.shape[:-1], mode)
+
+    @property
+    def succeeded(self) -> Any:
+        """Whether the last time was reached, by motion."""
+        return self.code == Code.COMPLETED
+
+    @property
+    def events(self) -> dict[str, Crossings]:
+        """Where each event happened, by its name: ``times`` [s], ``states``, ``count``.
+
+        Differentiable, where it crosses its zero (NaN where it only grazes it, or
+        jumps). Of a run with known numbers only what happened; of many runs, traced, or
+        under ``vmap``, all that is kept, unused places NaN.
+
+        Source: docs/theory.md, (8.13).
+        """
+        return {} if self.event_record is None else self.event_record.by_name()
+
+    @property
+    def position(self) -> Float[Array, "T 3"]:
+        """Body origin O [m], fixed axes, shape (T, 3)."""
+        return self.each(observables.position)
+
+    @property
+    def velocity(self) -> Float[Array, "T 3"]:
+        """Of the body origin O [m/s], fixed axes, shape (T, 3)."""
+        return self.each(observables.velocity)
+
+    @property
+    def orientation(self) -> Float[Array, "T 4"]:
+        """Unit quaternion, scalar first, body to fixed axes [1], shape (T, 4).
+
+        Continuous in sign.
+        """
+        orientation = self.each(observables.orientation)
+        if isinstance(self._samples().state, (State, ModedState)):
+            return orientation  # integrated, and so continuous
+        sense = in_one_sense
+        for _ in range(orientation.ndim - 2):
+            sense = jax.vmap(sense)
+        return sense(orientation)
+
+    @property
+    def angular_velocity(self) -> Float[Array, "T 3"]:
+        """[rad/s], fixed axes, shape (T, 3)."""
+        return self.each(observables.angular_velocity)
+
+    @property
+    def slip(self) -> Float[Array, "T 3"]:
+        """``U``, of the body's point at the contact over the base [m/s], shape (T, 3).
+
+        FIXED axes; zero where the body rolls.
+        """
+        return self.each(observables.slip)
+
+    @property
+    def contact_on_body(self) -> Float[Array, "T 3"]:
+        """Contact point from the body origin [m], body axes, shape (T, 3)."""
+        return self.each(observables.contact_on_body)
+
+    @property
+    def contact_on_base(self) -> Float[Array, "T 3"]:
+        """Contact point [m], base axes, shape (T, 3)."""
+        return self.each(observables.contact_on_base)
+
+    @property
+    def contact_force(self) -> Float[Array, "T 3"]:
+        """Force of the base on the body [N], fixed axes, shape (T, 3), (6.2)."""
+        return self.each(contact_force)
+
+    @property
+    def normal_force(self) -> Float[Array, " T"]:
+        """Normal part of the contact force [N], shape (T,); > 0 while pressed together.
+
+        Source: docs/theory.md, (6.2), N = -Rc . e_out.
+        """
+        return self.each(observables.normal_force)
+
+    @property
+    def friction_ratio(self) -> Float[Array, " T"]:
+        """Friction coefficient that rolling needs, |tangential| / N [1], shape (T,)."""
+        return self.each(observables.friction_ratio)
+
+    @property
+    def energy(self) -> Float[Array, " T"]:
+        """Kinetic plus potential energy [J], shape (T,).
+
+        Fields of loads and springs given by a potential count as potential energy.
+        """
+        return self.each(observables.energy)
+
+    @property
+    def power(self) -> Float[Array, " T"]:
+        """Rate of the energy [W], shape (T,): of the base and of forces inside."""
+        return self.each(observables.power)
+
+    @property
+    def moving_energy(self) -> Float[Array, " T"]:
+        """``E - v_Oc . P - w_c . J`` [J], shape (T,): kept on a steady turntable."""
+        return self.each(observables.moving_energy)
+
+    @property
+    def momentum(self) -> Float[Array, "T 3"]:
+        """Of the whole system [kg m/s], fixed axes, shape (T, 3)."""
+        return self.each(observables.momentum)
+
+    @property
+    def angular_momentum(self) -> Float[Array, "T 3"]:
+        """Of the whole system about the fixed origin [kg m^2/s], fixed axes, (T, 3)."""
+        return self.each(observables.angular_momentum)
+
+    @property
+    def base_position(self) -> Float[Array, "T 3"]:
+        """Base origin [m], fixed axes, shape (T, 3)."""
+        return self.each(observables.base_position)
+
+    @property
+    def base_rotation(self) -> Float[Array, "T 3 3"]:
+        """Base to fixed axes [1], shape (T, 3, 3)."""
+        return self.each(observables.base_rotation)
+
+    @property
+    def alpha(self) -> Float[Array, "T n"]:
+        """Coordinates of what is supported, shape (T, n)."""
+        return self._samples().state.alpha
+
+    @property
+    def alpha_dot(self) -> Float[Array, "T n"]:
+        """Their rates [1/s], shape (T, n)."""
+        return self._samples().state.alpha_dot
+
+
+def _is_numpy(x: Any) -> bool:
+    return isinstance(x, np.ndarray)
+
+
+@eqx.filter_jit
+def evaluated(
+    observable: Observable, scene: Scene, time: Any, state: Any, axes: tuple[Axis, ...]
+) -> Any:
+    """An observable of states, in one program; see :class:`Samples`."""
+    if isinstance(state, ModedState):
+        observable = cast("Observable", by_mode(cast("Any", observable)))
+    mapped: Any = observable
+    for axis in reversed(axes):
+        own = None
+        if axis.scene is not None:
+            own = jax.tree.unflatten(cast(Any, jax.tree.structure(scene)), axis.scene)
+        mapped = jax.vmap(mapped, in_axes=(own, axis.time, 0))
+    for _ in range(state.angular_velocity.ndim - 1 - len(axes)):
+        mapped = jax.vmap(mapped)
+    return mapped(scene, jnp.asarray(time), state)

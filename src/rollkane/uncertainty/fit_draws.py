@@ -1,0 +1,202 @@
+"""Parameters of a fit, as uncertain as its records leave them."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtri
+from jaxtyping import Array, Float
+
+from ..dynamics.scene import Scene
+from ..identification import paths
+from ..identification.fit_result import Fit
+from ..identification.layout import Coordinates
+from ..identification.least_squares import loss_of, variance_factor
+from ..identification.parameters import Model, Values, located, number_in, with_number
+from ..identification.transforms import AbstractTransform
+from ..identification.uncertainty import coordinate_covariance
+from ..validation.checks import FieldError, whole
+from .distribution_checks import inside, listed, root_of
+from .distributions import AbstractDistribution
+
+_OF_MOTION = ("scene", "start")  # roots of what a draw is put into
+
+
+@dataclasses.dataclass(frozen=True)
+class _Place:
+    """Where a parameter is.
+
+    Attributes:
+        path: As the user wrote it.
+        keys: In a model.
+        record: Whose it is; None: of all.
+        first: Its first coordinate.
+        stop: The one behind its last.
+    """
+
+    path: str
+    keys: paths.Keys
+    record: int | None
+    first: int
+    stop: int
+
+
+class FitCovariance(AbstractDistribution):
+    """A fit's parameters, normal in its coordinates about the estimates.
+
+    These keep every draw physical: logarithms of positive numbers, second moments of
+    inertias, small rotations. What has bounds is put onto them where it exceeds them.
+    Draws are by path; of several records' own parameters stacked, as in ``estimates``.
+
+    Attributes:
+        center: Coordinates of the estimates, shape (P,).
+        root: Of their covariance, lower triangular, shape (P, P).
+        lower: Bounds of the coordinates, shape (P,).
+        upper: Likewise.
+        transforms: Of each parameter.
+        places: Where each is.
+        tied: Parameters that follow: path, keys, function.
+        scene: The model at the estimates.
+        starts: At the estimates, of each record.
+
+    Source: the linear covariance of least squares, as :class:`rollkane.Fit` has it.
+    """
+
+    center: Float[Array, " P"]
+    root: Float[Array, "P P"]
+    lower: Float[Array, " P"]
+    upper: Float[Array, " P"]
+    transforms: tuple[AbstractTransform, ...]
+    places: tuple[_Place, ...] = eqx.field(static=True)
+    tied: tuple[tuple[str, paths.Keys, Callable[[Values], Any]], ...] = eqx.field(
+        static=True
+    )
+    scene: Scene
+    starts: tuple[Any, ...]
+
+    def __init__(self, fit: Fit):
+        """Take what a fit found.
+
+        Args:
+            fit: Of :func:`rollkane.fit`; each parameter [its unit].
+
+        Raises:
+            FieldError: something else, or parameters that the records do not show.
+        """
+        field = "FitCovariance.fit"
+        if not isinstance(cast(object, fit), Fit):
+            raise FieldError(field, fit, "must be a Fit", "give what rollkane.fit gave")
+        if fit.unseen:
+            problem = "has parameters that its records do not show"
+            remedy = "hold one of them, or give a prior"
+            raise FieldError(field, fit.unseen, problem, remedy)
+        layout, best = fit.problem.layout, fit.search.minimum
+        known = coordinate_covariance(best.at, layout, best.z)
+        if fit.loss != "linear":
+            known = known * variance_factor(best.at.residual, loss_of(fit.loss))
+        self.center = jnp.asarray(best.z)
+        self.root = root_of(field, known, jnp.asarray(known))
+        self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
+        channels = {name: None for m in layout.models for name in m.channels}
+        self.transforms = tuple(entry.transform for entry in layout.entries)
+        self.places = tuple(_place(entry, channels) for entry in layout.entries)
+        self.tied = tuple(
+            (tie.path, located(tie.path, channels), tie.value) for tie in layout.tied
+        )
+        self.scene = fit.scene
+        several = len(layout.models) > 1
+        self.starts = tuple(fit.start) if several else (fit.start,)
+
+    @property
+    def shape(self) -> dict[str, tuple[int, ...]]:
+        """Shapes of the parameters, by path."""
+        return {path: value.shape for path, value in self._values(self.center).items()}
+
+    @property
+    def size(self) -> int:
+        """One uniform number for each of the fit's coordinates."""
+        return self.center.shape[0]
+
+    def draw(self, u: Float[Array, " P"]) -> dict[str, Array]:
+        """Parameters by path [their units]."""
+        z = ndtri(inside(u))
+        center, root = self.center.astype(z.dtype), self.root.astype(z.dtype)
+        lower, upper = self.lower.astype(z.dtype), self.upper.astype(z.dtype)
+        return self._values(jnp.clip(center + root @ z, lower, upper))
+
+    def _values(self, z: Array) -> dict[str, Array]:
+        found: dict[str, list[Array]] = {}
+        for place, transform in zip(self.places, self.transforms, strict=True):
+            value = transform.value(z[place.first : place.stop])
+            found.setdefault(place.path, []).append(value)
+        own = {place.path for place in self.places if place.record is not None}
+        return {p: jnp.stack(v) if p in own else v[0] for p, v in found.items()}
+
+    def apply(self, drawn: Mapping[str, Array], record: int = 0) -> tuple[Scene, Any]:
+        """The fitted scene and start with a draw's parameters.
+
+        Parameters of sensors and of ``modes`` are in the draw only.
+
+        Args:
+            drawn: What :meth:`draw` gives.
+            record: Whose start, and whose own parameters, of a fit of several.
+
+        Raises:
+            FieldError: a record that was not fitted, other paths.
+        """
+        remedy = "give the number of a record that was fitted"
+        record = whole("FitCovariance.apply.record", record, 0, remedy)
+        if record >= len(self.starts):
+            problem = f"is beyond the {len(self.starts)} that were fitted"
+            raise FieldError("FitCovariance.apply.record", record, problem, remedy)
+        paths_of = {place.path for place in self.places}
+        if set(drawn) != paths_of:
+            given, remedy = sorted(drawn), f"give those of a draw: {sorted(paths_of)}"
+            problem = "are not the fit's"
+            raise FieldError("FitCovariance.apply.drawn", given, problem, remedy)
+        model = Model(self.scene, self.starts[record], None, {})
+        values = self._of_record(drawn, record)
+        free = [(p.keys, values[p.path]) for p in self.places if p.path in values]
+        tied = [(k, of(values)) for _, k, of in self.tied if k[0] in _OF_MOTION]
+        for keys, value in free + tied:
+            if keys[0] in _OF_MOTION:
+                old = number_in(model, keys)
+                new = jnp.asarray(value, old.dtype)
+                model = with_number(model, keys, jnp.broadcast_to(new, old.shape))
+        return model.scene, model.start
+
+    def _of_record(self, drawn: Mapping[str, Array], record: int) -> Values:
+        """A record's parameters: of its own ones, which are stacked, its own."""
+        owners: dict[str, list[int | None]] = {}
+        for place in self.places:
+            owners.setdefault(place.path, []).append(place.record)
+        values: Values = {}
+        for path, known in owners.items():
+            if known == [None]:
+                values[path] = drawn[path]
+            elif record in known:
+                values[path] = drawn[path][known.index(record)]
+        return values
+
+    def spec(self) -> dict[str, Any]:
+        """Kind, paths, distribution of the coordinates, and the model's numbers."""
+        every = (self.transforms, self.scene, self.starts)
+        arrays = filter(eqx.is_inexact_array, jax.tree.leaves(every))
+        model = [np.ravel(np.asarray(x, float)) for x in arrays]
+        return {
+            "kind": "FitCovariance",
+            "paths": [place.path for place in self.places],
+            "center": listed(self.center),
+            "root": listed(self.root),
+            "bounds": [listed(self.lower), listed(self.upper)],
+            "model": listed(np.concatenate(model)),
+        }
+
+
+def _place(entry: Coordinates, channels: Mapping[str, Any]) -> _Place:
+    keys, where = located(entry.free.path, channels), entry.where
+    return _Place(entry.free.path, keys, entry.record, where.start, where.stop)

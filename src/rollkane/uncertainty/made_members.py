@@ -1,0 +1,131 @@
+"""Scenes and starts that a study makes of random draws: what differs among them."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..codegen.dependence import reached_outputs
+from ..dynamics.rolling import rolling_derivative
+from ..dynamics.scene import Scene
+from ..kinematics.coordinates import State
+from ..simulation.ensemble_members import Members
+from ..validation.checks import FieldError
+from .draws import Draws
+
+Make = Callable[[dict[str, Any]], tuple[Scene, State]]
+_REMEDY = "give a function of the draw that returns (scene, start), by jax.numpy"
+
+
+class MadeMembers:
+    """What ``make`` gives of any draw.
+
+    Leaves of scene and start that no draw reaches are shared by all members, and so
+    known where the motion is compiled.
+
+    Attributes:
+        draws: What is drawn.
+        scene: Scene of the middle draw (every u = 1/2).
+        start: Its start.
+    """
+
+    def __init__(self, make: Make, draws: Draws):
+        """Make the middle member, and find what differs.
+
+        Raises:
+            FieldError: no scene and start come out, ``make`` cannot be traced, or a
+                function inside of the scene closes over a drawn number.
+        """
+        self.draws, self._make = draws, make
+        middle = np.full(draws.dimension, 0.5)
+        self.scene, self.start = _pair(make(draws.draw(jnp.asarray(middle))))
+        self._leaves, self._tree = _flat(self.scene, self.start)
+        self._own = self._reached(middle)
+        self._scenes = len(jax.tree.leaves(self.scene))
+        self._made: Any = jax.jit(jax.vmap(self._of_own))
+
+    def members(self, size: int) -> Members:
+        """As an ensemble takes them, with the middle draw in every place."""
+        expand: Callable[[Any, bool], Any] = lambda x, own: x[None] if own else x
+        pairs = zip(self._leaves, self._own, strict=True)
+        scene, start = jax.tree.unflatten(self._tree, [expand(*p) for p in pairs])
+        axes = [0 if own else None for own in self._own]
+        split = self._scenes
+        return Members(size, scene, start, axes[:split], axes[split:])
+
+    def block(self, u: Float[np.ndarray, "n d"]) -> tuple[Scene, State]:
+        """Scenes and starts of some members; leaves that all share as they are."""
+        return self._with(self._made(jnp.asarray(u)))
+
+    def one(self, u: Float[Array, " d"]) -> tuple[Scene, State]:
+        """Scene and start of one member; differentiable."""
+        return self._with(self._of_own(u))
+
+    def _with(self, own: Iterable[Any]) -> tuple[Scene, State]:
+        """Scene and start, with leaves in the places of those that differ."""
+        following = iter(own)
+        pairs = zip(self._leaves, self._own, strict=True)
+        leaves = [next(following) if mine else leaf for leaf, mine in pairs]
+        return cast("tuple[Scene, State]", jax.tree.unflatten(self._tree, leaves))
+
+    def _of_own(self, u: Float[Array, " d"]) -> list[Array]:
+        """Those leaves of one member that differ."""
+        leaves, _ = _flat(*_pair(self._make(self.draws.draw(u))))
+        pairs = zip(leaves, self._own, strict=True)
+        return [jnp.asarray(x) for x, own in pairs if own]
+
+    def _reached(self, middle: np.ndarray) -> list[bool]:
+        """Whether a draw reaches each leaf."""
+
+        def made(u: Array) -> tuple[list[Any], Any]:
+            leaves, tree = _flat(*_pair(self._make(cast(Any, self.draws.draw(u)))))
+            self._check_alike(leaves)
+            # with the leaves known, the rates may depend on no draw
+            scene, start = jax.tree.unflatten(tree, self._leaves)
+            time = jnp.zeros((), start.angular_velocity.dtype)
+            return leaves, rolling_derivative(scene, time, start)
+
+        try:
+            program, shape = jax.make_jaxpr(made, return_shape=True)(middle)
+        except (FieldError, MemoryError):
+            raise
+        except Exception as error:
+            first = str(error).partition("\n")[0]
+            problem = f"cannot be traced by JAX ({first})"
+            raise FieldError("Study.make", self._make, problem, _REMEDY) from error
+        reached = reached_outputs(program.jaxpr)
+        count = len(jax.tree.leaves(shape[0]))
+        if any(reached[count:]):
+            raise FieldError(
+                "Study.make",
+                self._make,
+                "gives a scene in which a function closes over a drawn number",
+                "let an equinox module hold the number and be the function",
+            )
+        return reached[:count]
+
+    def _check_alike(self, leaves: list[Any]) -> None:
+        found = [jnp.shape(x) for x in leaves]
+        known = [jnp.shape(x) for x in self._leaves]
+        if found != known:
+            problem = "gives scenes of other kinds when it is traced"
+            remedy = "let the draw change numbers only"
+            raise FieldError("Study.make", self._make, problem, remedy)
+
+
+def _flat(scene: Scene, start: State) -> tuple[list[Any], Any]:
+    return cast("tuple[list[Any], Any]", jax.tree.flatten((scene, start)))
+
+
+def _pair(made: Any) -> tuple[Scene, State]:
+    good = isinstance(made, tuple) and len(cast(Any, made)) == 2
+    if not good:
+        raise FieldError("Study.make", made, "is no (scene, start)", _REMEDY)
+    scene, start = cast("tuple[Any, Any]", made)
+    if not isinstance(scene, Scene) or not isinstance(start, State):
+        wrong = start if isinstance(scene, Scene) else scene
+        raise FieldError("Study.make", wrong, "is not what it must be", _REMEDY)
+    return scene, start

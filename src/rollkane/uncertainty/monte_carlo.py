@@ -1,0 +1,306 @@
+"""Run a study: blocks of members, into a store and into statistics."""
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+from ..validation.checks import FieldError, whole
+from .executors import Blocks, Members
+from .fingerprint import fingerprint
+from .member_statistics import MemberStatistics
+from .precision import Precision
+from .result import MonteCarlo, Rates
+from .sampling import KINDS
+from .store import Store, StoreError, create, differences
+from .study import Study
+from .unit_runs import Columns, UnitRuns
+
+Shard = tuple[int, int]
+# of members done and failed, and of those that there will be
+Progress = Callable[["Done"], None]
+# Blocks of a study, at least, so that a killed one loses little and sizes can double;
+# and members of a block, at most, where a store's chunk is some megabytes
+_LEAST_BLOCKS, _MOST_IN_BLOCK = 64, 65536
+# members before precision is looked at first
+_FIRST_LOOK = 1024
+
+
+class Done(NamedTuple):
+    """How far a study is.
+
+    Attributes:
+        members: That are done, those found in the store as well.
+        failed: How many of them failed.
+        size: How many there will be, at most.
+        rate: Members a second since it began, those found left out.
+    """
+
+    members: int
+    failed: int
+    size: int
+    rate: float
+
+
+def monte_carlo(
+    study: Study,
+    size: int,
+    seed: int = 0,
+    *,
+    sampling: str = "plain",
+    store: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    executor: Any = None,
+    workers: int | None = None,
+    block: int | None = None,
+    shard: Shard | None = None,
+    stop: Precision | Sequence[Precision] | None = None,
+    keep: bool = True,
+    progress: Progress | None = None,
+) -> MonteCarlo:
+    """Run the members of a study, and know their statistics.
+
+    Member i of a seed is the same, bit for bit, whichever block, process or machine of
+    the same kind computes it. A member that fails has a code, is counted, and is left
+    out of every statistic.
+
+    Args:
+        study: What is random, what moves, what is looked at.
+        size: Members; with ``stop`` the most.
+        seed: Of the random numbers.
+        sampling: ``"plain"``, ``"latin"`` or ``"sobol"`` (:func:`sampler`).
+        store: Folder of a Zarr store to write; without one, members are kept in memory.
+        resume: Whether a store of the same study that is there is gone on with.
+        executor: Where blocks are computed: None (threads of this process),
+            ``"processes"``, ``"dask"``, a scheduler's address, a Dask client, an
+            executor of ``concurrent.futures``.
+        workers: How many blocks at a time; as many as processors by default.
+        block: Members of a block: a chunk of the store, what a killed process loses.
+            By default a 64th of the study, 1024 to 65536.
+        shard: ``(i, n)``, i from 1 to n: only every n-th block, into one store that n
+            processes share; none of them waits for another.
+        stop: Precision that is enough; looked at after 1024 members and each doubling.
+        keep: Without a store: whether members are kept, or statistics alone.
+        progress: Called after each block.
+
+    Returns:
+        Statistics [unit of each observable], and the members where they are kept.
+
+    Raises:
+        FieldError: arguments that do not fit.
+        StoreError: a store that is there and is not to be resumed, or is another
+            study's; it is left as it is.
+        OSError: the store cannot be written; blocks that were are kept.
+    """
+    size = whole("monte_carlo.size", size, 1, "give how many members")
+    seed = whole("monte_carlo.seed", seed, 0, "give a whole number")
+    if sampling not in KINDS:
+        remedy = f"use one of {KINDS}"
+        raise FieldError("monte_carlo.sampling", sampling, "is not known", remedy)
+    wanted = _wanted(stop)
+    _check_shard(shard, store, bool(wanted))
+    runs = UnitRuns(study)
+    members = Members(study, sampling, seed, size)
+    block = _block_size(block, size, runs.unit)
+    opened, about = None, _provenance(members, runs)
+    if store is not None:
+        opened = _opened(Path(store), about, runs, size, block, resume or bool(shard))
+        block = opened.block
+    blocks = Blocks(members, runs, executor, workers)
+    work = _Work(members, blocks, about, opened, block, keep, progress)
+    return work.done(wanted, shard)
+
+
+class _Work:
+    """One call under way."""
+
+    def __init__(
+        self,
+        members: Members,
+        blocks: Blocks,
+        about: dict[str, Any],
+        store: Store | None,
+        block: int,
+        keep: bool,
+        progress: Progress | None,
+    ):
+        self._members, self._blocks, self._store = members, blocks, store
+        self._about = about
+        self._size, self._block, self._progress = members.size, block, progress
+        self._sampler = members.sampler()
+        self._statistics = MemberStatistics(
+            blocks.runs.columns, members.study.ends, self._sampler
+        )
+        self._kept: list[Columns] | None = [] if keep and store is None else None
+        self._began, self._computed = time.monotonic(), 0
+        self._said = 0, 0
+
+    def done(self, wanted: Sequence[Precision], shard: Shard | None) -> MonteCarlo:
+        """All members, or as many as are precise enough."""
+        count = -(-self._size // self._block)
+        if shard is not None:
+            self._shard(range(shard[0] - 1, count, shard[1]))
+            return self._result(None)
+        first, reached = 0, None
+        for last in _stages(count, self._block, bool(wanted)):
+            self._fold(range(first, last))
+            first = last
+            if wanted and all(one.reached(self._statistics.running) for one in wanted):
+                reached = min(last * self._block, self._size)
+                break
+        return self._result(reached)
+
+    def _fold(self, numbers: range) -> None:
+        """Statistics of some blocks, in order, whichever is ready first."""
+        early: dict[int, Columns] = {}
+        following = numbers.start
+        for k, columns in self._ready(numbers):
+            early[k] = columns
+            while following in early:
+                now = early.pop(following)
+                self._statistics.add(following * self._block, now)
+                if self._kept is not None:
+                    self._kept.append(now)
+                following += 1
+
+    def _shard(self, numbers: range) -> None:
+        for _ in self._ready(numbers):
+            pass
+
+    def _ready(self, numbers: range) -> Iterator[tuple[int, Columns]]:
+        """Blocks from the store, or computed and written to it."""
+        store, missing = self._store, dict[int, tuple[int, int]]()
+        for k in numbers:
+            if store is not None and store.problem(k) is None:
+                columns = store.read(k)
+                self._tell(columns, computed=False)
+                yield k, columns
+            else:
+                last = min((k + 1) * self._block, self._size)
+                missing[k] = k * self._block, last
+        for k, columns in self._blocks.computed(missing):
+            if store is not None:
+                store.write(k, columns)
+            self._tell(columns, computed=True)
+            yield k, columns
+
+    def _tell(self, columns: Columns, computed: bool) -> None:
+        count = len(columns["code"])
+        failed = int((~self._statistics.good(columns)).sum())
+        self._said = self._said[0] + count, self._said[1] + failed
+        self._computed += count if computed else 0
+        if self._progress is not None:
+            passed = max(time.monotonic() - self._began, 1e-9)
+            rate = self._computed / passed
+            self._progress(Done(*self._said, self._size, rate))
+
+    def _result(self, reached: int | None) -> MonteCarlo:
+        runs, about = self._blocks.runs, self._about
+        store, seconds = self._store, time.monotonic() - self._began
+        notes = [] if reached is not None else [self._sampler.note]
+        if reached is not None and store is not None:
+            store.end_at(reached)
+        return MonteCarlo(
+            *(self._statistics, runs.columns, self._members.study.times, about),
+            store=store,
+            kept=self._kept,
+            rates=Rates(self._computed, seconds, runs.method, runs.why),
+            note="; ".join(filter(None, notes)) or None,
+        )
+
+
+def _stages(count: int, block: int, doubling: bool) -> Iterator[int]:
+    """Where statistics are looked at: blocks so far."""
+    last = max(1, _FIRST_LOOK // block)
+    while doubling and last < count:
+        yield last
+        last *= 2
+    yield count
+
+
+def _wanted(stop: Any) -> tuple[Precision, ...]:
+    if stop is None:
+        return ()
+    listed = isinstance(stop, (tuple, list))
+    several = list(cast("tuple[Any, ...]", stop)) if listed else [stop]
+    for one in several:
+        if not isinstance(one, Precision):
+            remedy = 'give for example rollkane.Precision("end", absolute=1e-3)'
+            raise FieldError("monte_carlo.stop", one, "is no precision", remedy)
+    return tuple(several)
+
+
+def _check_shard(shard: Any, store: Any, stops: bool) -> None:
+    if shard is None:
+        return
+    remedy = "give (i, n) with 1 <= i <= n"
+    field = "monte_carlo.shard"
+    try:
+        i, n = shard
+    except (TypeError, ValueError) as error:
+        raise FieldError(field, shard, "is no pair", remedy) from error
+    n = whole(field, n, 1, remedy)
+    if whole(field, i, 1, remedy) > n:
+        raise FieldError(field, shard, "is not among the shards", remedy)
+    if store is None:
+        raise FieldError(field, shard, "has no store to share", "give store=, too")
+    if stops:
+        problem = "cannot know when all are precise enough"
+        raise FieldError(field, shard, problem, "leave stop out")
+
+
+def _block_size(block: Any, size: int, unit: int) -> int:
+    if block is not None:
+        return whole("monte_carlo.block", block, 1, "give members of a block")
+    fitting = max(size // _LEAST_BLOCKS, 1)
+    fitting = 1 << (fitting.bit_length() - 1)
+    return min(max(fitting, unit), _MOST_IN_BLOCK)
+
+
+def _provenance(members: Members, runs: UnitRuns) -> dict[str, Any]:
+    """What members depend on, as JSON has it; and what a reader needs."""
+    about = {
+        "study": fingerprint(members.study),
+        "samples": members.sampler().spec(),
+        "sampling": members.sampling,
+        "seed": members.seed,
+        "dimension": members.study.draws.dimension,
+        "ends": members.study.ends,
+        "fields": runs.fields._asdict(),
+    }
+    return cast("dict[str, Any]", json.loads(json.dumps(about)))
+
+
+def _opened(
+    path: Path,
+    about: dict[str, Any],
+    runs: UnitRuns,
+    size: int,
+    block: int,
+    resume: bool,
+) -> Store:
+    """A new store, or the one that is gone on with.
+
+    Raises:
+        StoreError: one is there that is another study's, or not to be resumed.
+    """
+    if not path.exists():
+        times = runs.study.times.tolist()
+        return create(path, about, runs.columns, size, block, times)
+    store = Store(path)
+    kept = {name: store.about.get(name) for name in about} | {"size": store.size}
+    apart = list(differences(kept, about | {"size": size}))
+    if apart:
+        raise StoreError(
+            f"{path} is the store of another study: what differs is "
+            f"{', '.join(apart)}. It is left as it is: give another store"
+        )
+    if not resume:
+        raise StoreError(
+            f"{path} is there, with {store.block_count} blocks of this study: go on "
+            "with resume=True (--resume), or give another store"
+        )
+    store.clear_leftovers()
+    return store

@@ -1,0 +1,294 @@
+"""A study's members on disk: a Zarr store that survives what ends a run.
+
+One chunk of every array is one block of members, and one block is written by one
+process at a time. The block's chunk of ``checksum`` is written last; a block counts
+only where it is there and fits the bytes of the others. So a killed process, a full
+disk or a chunk that is cut or lost costs the blocks that they touch, which are computed
+again.
+"""
+
+import hashlib
+import itertools
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from ..validation.checks import FieldError
+from .unit_runs import Column, Columns
+
+if TYPE_CHECKING:
+    import xarray
+
+_DIGEST = 32  # bytes
+_FORMAT = 1
+_UNITS = {"final_time": "s", "event time": "s"}
+
+
+class StoreError(ValueError):
+    """A store that cannot be used as asked."""
+
+    def __init__(self, message: str):
+        """Say what is wrong, and what to do.
+
+        Args:
+            message: Both, in a sentence or two.
+        """
+        super().__init__(message)
+
+
+class Store:
+    """Blocks of members in a folder.
+
+    Attributes:
+        path: The folder, a Zarr v3 group.
+        about: Its attributes: provenance of the study.
+        size: How many members it has places for.
+        block: Members of a block; the last one may have fewer.
+        columns: What is kept of each member, by name.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]):
+        """Open a store that is there.
+
+        Raises:
+            StoreError: there is none, or it is not one of a study.
+            ImportError: Zarr is not installed.
+        """
+        self.path = Path(path)
+        zarr = _zarr()
+        try:
+            self._group: Any = zarr.open_group(str(self.path), mode="r+")
+            self.about: dict[str, Any] = dict(self._group.attrs)
+            kept: dict[str, Any] = self.about["columns"]
+        except (OSError, KeyError, ValueError) as error:
+            remedy = "give the folder that rollkane.monte_carlo(store=) wrote"
+            raise StoreError(f"{self.path} holds no study: {remedy}") from error
+        if self.about.get("format") != _FORMAT:
+            version = self.about.get("format")
+            problem = f"{self.path} has format {version}, not {_FORMAT}"
+            raise StoreError(f"{problem}: use the rollkane that wrote it")
+        # a chunk of nothing but fill values must be there like any other
+        with zarr.config.set({"array.write_empty_chunks": True}):
+            every = (*kept, "checksum", "time")
+            self._arrays: dict[str, Any] = {name: self._group[name] for name in every}
+        self.size = int(self.about.get("ended", self.about["size"]))
+        self.block = int(self.about["block"])
+        self.columns = {
+            name: Column(tuple(c["shape"]), np.dtype(c["dtype"]), c["kind"])
+            for name, c in kept.items()
+        }
+
+    @property
+    def block_count(self) -> int:
+        """How many blocks it has places for."""
+        return -(-self.size // self.block)
+
+    def span(self, k: int) -> tuple[int, int]:
+        """First member of a block, and one behind its last."""
+        return k * self.block, min((k + 1) * self.block, self.size)
+
+    def write(self, k: int, columns: Columns) -> None:
+        """Write one block, its checksum last.
+
+        Raises:
+            OSError: the system refuses, for example as the disk is full; the block does
+                not count.
+        """
+        self._forget(k)
+        first, last = self.span(k)
+        for name in self.columns:
+            self._arrays[name][first:last] = columns[name]
+        digest = np.frombuffer(self._digest(k), np.uint8)
+        self._arrays["checksum"][k] = digest
+
+    def read(self, k: int) -> Columns:
+        """One block."""
+        first, last = self.span(k)
+        return {
+            name: np.asarray(self._arrays[name][first:last]) for name in self.columns
+        }
+
+    def problem(self, k: int) -> str | None:
+        """Why a block does not count; None: it does; empty: it is not there."""
+        mark = self._chunk("checksum", k)
+        if not mark.is_file():
+            return ""
+        try:
+            kept = bytes(np.asarray(self._arrays["checksum"][k]))
+        except Exception:  # whatever a codec makes of bytes that are cut
+            return f"block {k}: its checksum cannot be read"
+        missing = [n for n in self.columns if not self._chunk(n, k).is_file()]
+        if missing:
+            return f"block {k}: the chunk of {missing[0]} is missing"
+        if self._digest(k) != kept:
+            return f"block {k}: its bytes do not fit their checksum"
+        return None
+
+    def end_at(self, size: int) -> None:
+        """Cut off places behind the last member of a study that ended early."""
+        self.size = size
+        for name, column in self.columns.items():
+            self._arrays[name].resize((size, *column.shape))
+        self._arrays["checksum"].resize((self.block_count, _DIGEST))
+        self._group.attrs["ended"] = self.about["ended"] = size
+
+    def clear_leftovers(self) -> int:
+        """Remove what a killed process was writing; how many files that were."""
+        left = [p for p in self.path.rglob("*") if _is_leftover(p)]
+        for path in left:
+            path.unlink(missing_ok=True)
+        return len(left)
+
+    @property
+    def times(self) -> np.ndarray:
+        """Output times [s], shape (T,)."""
+        return np.asarray(self._arrays["time"][:])
+
+    def values(self, name: str) -> np.ndarray:
+        """One array of all members."""
+        return np.asarray(self._arrays[name][: self.size])
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """All arrays, read where they are used, over ``member`` and ``time`` [s]."""
+        import xarray
+
+        return xarray.open_zarr(str(self.path), consolidated=False, chunks=None)
+
+    def _chunk(self, name: str, k: int) -> Path:
+        behind = 1 if name == "checksum" else len(self.columns[name].shape)
+        return self.path / name / "c" / "/".join([str(k), *["0"] * behind])
+
+    def _digest(self, k: int) -> bytes:
+        """Of the block's files, one behind the other."""
+        found = hashlib.sha256()
+        for name in self.columns:
+            found.update(self._chunk(name, k).read_bytes())
+        return found.digest()
+
+    def _forget(self, k: int) -> None:
+        self._chunk("checksum", k).unlink(missing_ok=True)
+
+
+def _is_leftover(path: Path) -> bool:
+    return path.suffix == ".partial" and path.is_file()
+
+
+def create(
+    path: str | os.PathLike[str],
+    about: Mapping[str, Any],
+    columns: Mapping[str, Column],
+    size: int,
+    block: int,
+    times: Sequence[float],
+) -> Store:
+    """Make an empty store; where another process was faster, open that one.
+
+    Args:
+        path: Of the folder, which must not be there.
+        about: Provenance, as JSON has it.
+        columns: What is kept of each member.
+        size: How many members.
+        block: Members of a block.
+        times: Output times [s].
+
+    Raises:
+        OSError: the folder above does not exist, or the system refuses.
+        ImportError: Zarr is not installed.
+    """
+    target = Path(path)
+    if not target.resolve().parent.is_dir():
+        raise FileNotFoundError(
+            f"folder {target.resolve().parent} does not exist; make it first"
+        )
+    part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
+    try:
+        _lay_out(part, about, columns, size, block, times)
+        try:
+            os.rename(part, target)
+        except OSError:
+            if not target.is_dir():
+                raise
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return Store(target)
+
+
+def _lay_out(
+    part: Path,
+    about: Mapping[str, Any],
+    columns: Mapping[str, Column],
+    size: int,
+    block: int,
+    times: Sequence[float],
+) -> None:
+    kept = {
+        name: {"shape": list(c.shape), "dtype": str(c.dtype), "kind": c.kind}
+        for name, c in columns.items()
+    }
+    known = dict(about) | {"format": _FORMAT, "size": size, "block": block}
+    # what is read again is what JSON has
+    attributes = json.loads(json.dumps(known | {"columns": kept}))
+    group: Any = _zarr().create_group(str(part), attributes=attributes)
+
+    def array(name: str, shape: Any, chunks: Any, dtype: Any, **more: Any) -> Any:
+        sizes = {"shape": shape, "chunks": chunks, "dtype": dtype}
+        return group.create_array(name, **sizes, **more)
+
+    for name, column in columns.items():
+        more = tuple(max(n, 1) for n in column.shape)
+        fill = np.nan if column.dtype.kind == "f" else -1
+        attrs = {"kind": column.kind}
+        unit = _UNITS.get(name) or _UNITS.get(column.kind)
+        attrs |= {} if unit is None else {"units": unit}
+        array(
+            name,
+            *((size, *column.shape), (block, *more), column.dtype),
+            fill_value=fill,
+            dimension_names=dimensions(name, column),
+            attributes=attrs,
+        )
+    blocks = -(-size // block)
+    names = {"dimension_names": ["block", "byte"]}
+    array("checksum", (blocks, _DIGEST), (1, _DIGEST), "uint8", fill_value=0, **names)
+    count = (len(times),)
+    names = {"dimension_names": ["time"], "attributes": {"units": "s"}}
+    clock = array("time", count, count, float, fill_value=np.nan, **names)
+    clock[:] = np.asarray(times)
+
+
+def dimensions(name: str, column: Column) -> list[str]:
+    """Names of the axes of all members' values."""
+    first = "time" if column.kind == "series" else f"{name}_0"
+    behind = [first, *[f"{name}_{i}" for i in range(1, len(column.shape))]]
+    return ["member", *behind[: len(column.shape)]]
+
+
+def differences(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator[str]:
+    """What two provenances do not share, in words."""
+    for name in dict.fromkeys(itertools.chain(known, wanted)):
+        one, other = known.get(name), wanted.get(name)
+        if one == other:
+            continue
+        if isinstance(one, Mapping) and isinstance(other, Mapping):
+            parts = cast("Mapping[str, Any]", one), cast("Mapping[str, Any]", other)
+            yield from (f"{name} {part}" for part in differences(*parts))
+        elif isinstance(one, (int, float, str)) and len(str(one)) < 24:
+            yield f"{name} ({one}, not {other})"
+        else:
+            yield name
+
+
+def _zarr() -> Any:
+    try:
+        import zarr
+    except ImportError as error:
+        problem = "zarr is not installed"
+        remedy = "pip install 'rollkane[study]', or leave store out"
+        raise FieldError("monte_carlo.store", "...", problem, remedy) from error
+    return cast(Any, zarr)

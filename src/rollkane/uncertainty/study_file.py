@@ -1,0 +1,338 @@
+"""A study from a TOML file: a scene file, what varies in it, what is looked at."""
+
+import functools
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..dynamics.events import Event
+from ..dynamics.placement import place
+from ..dynamics.rolling import contact_of
+from ..dynamics.scene import Scene
+from ..files.scene_files.loading import SceneFile, load_scene, read_tables
+from ..files.scene_files.problems import Report, SceneFileError, suggestion
+from ..geometry.rotations import quaternion_of
+from ..geometry.small_linear import matvec
+from ..identification import paths
+from ..validation.checks import FieldError
+from .distribution_tables import distribution_of
+from .ready_observables import READY
+from .study import Study
+
+_KEYS = (
+    *("title", "scene", "times", "size", "seed", "sampling", "block"),
+    *("vary", "observe", "series", "events"),
+)
+_EVENT_KEYS = ("name", "of", "level", "direction", "stop")
+
+
+class StudyFile(NamedTuple):
+    """A study, and how it is run where nothing else is said.
+
+    Attributes:
+        study: What varies, moves and is looked at.
+        title: A line of text.
+        size: Members; None where the file leaves it open.
+        seed: Of the random numbers.
+        sampling: Kind of the samples.
+        block: Members of a block; None: the default.
+    """
+
+    study: Study
+    title: str
+    size: int | None
+    seed: int
+    sampling: str
+    block: int | None
+
+
+def load_study(source: str | PathLike[str]) -> StudyFile:
+    """Read a study.
+
+    Args:
+        source: Path of a TOML file. ``scene`` names a built-in scene or a scene file
+            beside it; ``[vary."PATH"]`` tables give distributions; ``observe`` and
+            ``series`` list ready observables, ``[[events]]`` where one of them crosses
+            a level. Paths are those of the scene (``body.mass``), and of the start, as
+            :func:`rollkane.place` takes it: ``start.angular_velocity[2]``, fixed axes.
+
+    Raises:
+        SceneFileError: with everything that is wrong, each with line, field and remedy.
+    """
+    report = read_tables(source)
+    known = _Checked(report, Path(source).parent)
+    report.raise_if_any()
+    return known.study_file()
+
+
+class _Checked:
+    """One file under way: what is wrong is reported, what is right is kept."""
+
+    def __init__(self, report: Report, folder: Path):
+        self._report, self._document = report, cast("dict[str, Any]", report.document)
+        self._unknown((), self._document, _KEYS)
+        self.file = self._scene(folder)
+        self.varied = self._vary()
+        self.observe, self.series = self._named("observe"), self._named("series")
+        self.events = self._events()
+        self.size = self._whole("size", 1)
+        self.block = self._whole("block", 1)
+        self.seed = self._whole("seed", 0) or 0
+        self.sampling = self._one_of("sampling", ("plain", "latin", "sobol"))
+
+    def study_file(self) -> StudyFile:
+        """The study; a scene in which nothing can vary so is refused.
+
+        Raises:
+            SceneFileError: it is.
+        """
+        assert self.file is not None
+        document, file = self._document, self.file
+        times = document.get("times", (file.times[0], file.times[-1]))
+        try:
+            study = Study(
+                _make_of(file, tuple(self.varied)),
+                {_word(path): one for path, one in self.varied.items()},
+                times,
+                observe=self.observe,
+                series=self.series,
+                events=self.events,
+                modes=file.modes,
+                rtol=file.rtol,
+                atol=file.atol,
+                method=file.method,
+            )
+        except FieldError as error:
+            self._report.add((), str(error), "change the study")
+            self._report.raise_if_any()
+            raise
+        title = document.get("title") or file.title
+        how = self.size, self.seed, self.sampling, self.block
+        return StudyFile(study, title, *how)
+
+    def _scene(self, folder: Path) -> SceneFile | None:
+        given: Any = self._document.get("scene")
+        remedy = 'write for example scene = "rattleback"'
+        if not isinstance(given, str):
+            self._report.add(("scene",), "must name a scene", remedy)
+            return None
+        beside = folder / given
+        try:
+            return load_scene(beside if beside.is_file() else given)
+        except SceneFileError as error:
+            self._report.add(("scene",), f"cannot be used: {error.problems[0]}", remedy)
+            return None
+
+    def _vary(self) -> dict[str, Any]:
+        tables: Any = self._document.get("vary")
+        if not isinstance(tables, Mapping) or not tables:
+            remedy = 'write a table such as [vary."start.angular_velocity[2]"]'
+            self._report.add(("vary",), "must say what is random", remedy)
+            return {}
+        found: dict[str, Any] = {}
+        for path, table in cast("Mapping[str, Any]", tables).items():
+            where = "vary", path
+            if self.file is not None:
+                self._check_path(where, path)
+            try:
+                found[path] = distribution_of(table)
+            except FieldError as error:
+                self._report.add(where, error.problem, error.remedy)
+                continue
+            if not self._report.has_below(where):
+                self._check_shape(where, path, found[path])
+        return found
+
+    def _check_shape(self, where: tuple[str, ...], path: str, one: Any) -> None:
+        if self.file is None:
+            return
+        wanted = jnp.shape(_number_at(_Model.of(self.file), path))
+        if one.shape != wanted:
+            problem = f"draws numbers of shape {one.shape}, where {wanted} is needed"
+            remedy = "give arrays of that shape, or the path of one entry, such as [2]"
+            self._report.add(where, problem, remedy)
+
+    def _check_path(self, where: tuple[str, ...], path: str) -> None:
+        assert self.file is not None
+        try:
+            value = _number_at(_Model.of(self.file), path)
+        except (FieldError, LookupError):
+            known = [*paths.floats(self.file.scene), *_start_paths(self.file)]
+            problem = "is no number of the scene or the start"
+            meant = suggestion(path, known)
+            listed = f"use one of {', '.join(known[:20])}"
+            self._report.add(where, problem, meant or listed, at_key=True)
+            return
+        if not paths.is_floating(value):
+            problem, remedy = "is no number that can vary", "give the path of a float"
+            self._report.add(where, problem, remedy, at_key=True)
+
+    def _named(self, field: str) -> dict[str, Any]:
+        given: Any = self._document.get(field, [])
+        known = f"use some of {', '.join(READY)}"
+        if not isinstance(given, list):
+            self._report.add((field,), "must be a list of names", known)
+            return {}
+        found: dict[str, Any] = {}
+        for i, name in enumerate(cast("list[Any]", given)):
+            if name not in READY:
+                meant = suggestion(str(name), READY) or known
+                self._report.add((field, i), "is not known", meant)
+                continue
+            # at the end and along the way are two things
+            found[f"{name} series" if field == "series" else name] = READY[name]
+        return found
+
+    def _events(self) -> list[Event]:
+        given: Any = self._document.get("events", [])
+        found: list[Event] = []
+        if not isinstance(given, list):
+            remedy = "write [[events]] tables"
+            self._report.add(("events",), "must be a list of tables", remedy)
+            return found
+        for i, table in enumerate(cast("list[Any]", given)):
+            where = "events", i
+            if not isinstance(table, dict):
+                self._report.add(where, "must be a table", "write [[events]]")
+                continue
+            event = self._event(where, cast("dict[str, Any]", table))
+            found += [] if event is None else [event]
+        return found
+
+    def _event(self, where: tuple[str, int], table: dict[str, Any]) -> Event | None:
+        self._unknown(where, table, _EVENT_KEYS)
+        of, stop = table.get("of"), bool(table.get("stop", False))
+        if of == "lift-off":
+            return Event.lift_off(stop, str(table.get("name", "lift-off")))
+        scalars = [name for name in READY if name not in _VECTORS]
+        if of not in scalars:
+            remedy = f'use "lift-off" or one of {", ".join(scalars)}'
+            self._report.add((*where, "of"), "is no number to look for", remedy)
+            return None
+        level = table.get("level", 0.0)
+        if not isinstance(level, (int, float)) or isinstance(level, bool):
+            remedy = "give the value that is crossed"
+            self._report.add((*where, "level"), "must be a number", remedy)
+            return None
+        crossing = _Crossing(READY[of], float(level))
+        direction, name = table.get("direction", 0), str(table.get("name", of))
+        try:
+            return Event(crossing, direction, stop, name)
+        except FieldError as error:
+            self._report.add((*where, "direction"), error.problem, error.remedy)
+            return None
+
+    def _unknown(self, where: Any, table: Any, known: tuple[str, ...]) -> None:
+        for key in table:
+            if key not in known:
+                remedy = suggestion(key, known) or f"use some of {', '.join(known)}"
+                self._report.add((*where, key), "is not known", remedy, at_key=True)
+
+    def _whole(self, name: str, least: int) -> int | None:
+        value = self._document.get(name)
+        if value is None:
+            return None
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            problem = f"must be a whole number of at least {least}"
+            self._report.add((name,), problem, "give one, or leave it out")
+        return value
+
+    def _one_of(self, name: str, known: tuple[str, ...]) -> str:
+        value = self._document.get(name, known[0])
+        if value not in known:
+            remedy = f"use one of {', '.join(known)}"
+            self._report.add((name,), "is not known", remedy)
+        return value
+
+
+_VECTORS = ("position", "orientation", "angular_velocity", "contact_on_base", "outward")
+
+
+class _Crossing(eqx.Module):
+    """An observable less the level that is looked for."""
+
+    of: Callable[..., Any] = eqx.field(static=True)
+    level: float = eqx.field(static=True)
+
+    def __call__(self, scene: Any, t: Any, state: Any) -> Any:
+        return self.of(scene, t, state) - self.level
+
+
+class _Model(eqx.Module):
+    """A scene, and its start as it is placed.
+
+    Attributes:
+        scene: What rolls on what.
+        start: Arguments of ``place``, by name.
+    """
+
+    scene: Scene
+    start: dict[str, Any]
+
+    @staticmethod
+    def of(file: SceneFile) -> "_Model":
+        """Of a scene file, whose start is read back."""
+        scene, state = file.scene, file.start
+        time = jnp.asarray(file.times[0], state.angular_velocity.dtype)
+        contact = contact_of(scene, time, state)
+        start: dict[str, Any] = {
+            "orientation": quaternion_of(contact.rotation),
+            "angular_velocity": matvec(contact.rotation, contact.angular_velocity),
+            "contact_on_base": contact.base_point,
+            "alpha": state.alpha,
+            "alpha_dot": state.alpha_dot,
+        }
+        if contact.slip is not None:
+            start["slip"] = matvec(contact.rotation, contact.slip)
+        return _Model(scene, start)
+
+    def placed(self, near: Any, time: Any) -> Any:
+        """The start, where the body touches next to where it did [m, body axes]."""
+        start = dict(self.start)
+        known = {"near_on_body": near} if self.scene.has_contact_coordinates else {}
+        slip = start.pop("slip", None)
+        sliding = {"slip": slip} if self.scene.contact.slips else {}
+        return place(self.scene, **start, **known, **sliding, time=time)
+
+
+def _start_paths(file: SceneFile) -> list[str]:
+    start = _Model.of(file).start
+    return [f"start.{name}" for name, x in start.items() if x.size]
+
+
+def _keys(path: str) -> paths.Keys:
+    keys = paths.keys_of(path)
+    return keys if keys[0] in ("scene", "start") else ("scene", *keys)
+
+
+def _number_at(model: _Model, path: str) -> Any:
+    return paths.found(model, _keys(path))
+
+
+def _word(path: str) -> str:
+    """A path as a word: what a draw is called."""
+    text = "".join(c if c.isalnum() else "_" for c in path)
+    return text.strip("_")
+
+
+def _make_of(file: SceneFile, varied: tuple[str, ...]) -> Callable[..., Any]:
+    model = _Model.of(file)
+    time = float(file.times[0])
+    contact = contact_of(file.scene, jnp.asarray(time), file.start)
+    return functools.partial(_made, model, contact.body_point, time, varied)
+
+
+def _made(
+    model: _Model, near: Any, time: float, varied: tuple[str, ...], draw: Any
+) -> tuple[Scene, Any]:
+    """Scene and start of one draw."""
+    for path in varied:
+        keys = _keys(path)
+        old = paths.found(model, keys)
+        new = jnp.asarray(draw[_word(path)], old.dtype)
+        model = paths.replaced(model, keys, new)
+    return model.scene, model.placed(near, time)
