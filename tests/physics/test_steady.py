@@ -331,8 +331,8 @@ def test_a_loaded_ball_on_a_slope_folds_where_it_can_rest_no_more():
 
 def cosine_of_tilt(state):
     """Cosine of the tilt of the body's z axis."""
-    w, x, y, z = np.asarray(state.orientation) / np.linalg.norm(state.orientation)
-    return 1.0 - 2.0 * (x * x + y * y)
+    q = np.asarray(state.orientation) / np.linalg.norm(state.orientation)
+    return 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
 
 
 @pytest.mark.slow
