@@ -160,8 +160,8 @@ def _fan(ensemble: Ensemble, seen: Shown) -> "Figure":
     fewer = bool((under_way < len(seen.values)).any())
     figure = new_figure((8.0, 0.8 + 2.2 * count + 1.2 * fewer))
     heights = [1.0] * count + [0.5] * fewer
-    how = {"sharex": True, "squeeze": False, "height_ratios": heights}
-    panels = figure.subplots(len(heights), 1, **how)[:, 0]
+    how: Any = {"sharex": True, "squeeze": False, "height_ratios": heights}
+    panels: Any = figure.subplots(len(heights), 1, **how)[:, 0]
     if fewer:
         panels[-1].fill_between(time, under_way, color=GREEN, alpha=0.3, lw=0)
         panels[-1].set_ylim(0.0, 1.05 * len(seen.values))
