@@ -1,9 +1,12 @@
 """Where blocks are computed: threads, processes, a Dask cluster, other executors."""
 
 import hashlib
+import os
 import pickle
+import signal
 import threading
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Generator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -13,7 +16,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from multiprocessing import get_context
 from typing import Any, NamedTuple, cast
 
@@ -28,6 +31,11 @@ from .unit_runs import Columns, UnitRuns
 
 # how often one after the other a pool of processes may break before it is given up
 _BREAKS = 3
+_DIED = (
+    "worker processes died {} times in a row without a block: memory may be short "
+    "(give fewer workers, or a smaller block), or a script begins its work without "
+    'if __name__ == "__main__"'
+)
 _REMEDY = (
     'give None (threads), "processes", "dask", the address of a Dask scheduler, or an '
     "executor of concurrent.futures"
@@ -85,12 +93,12 @@ class Blocks:
         elif not _is_known(executor):
             problem = "is no executor"
             raise FieldError("monte_carlo.executor", executor, problem, _REMEDY)
-        here = executor is None or executor == "threads"
+        here = executor in (None, "threads") or _has_threads(executor)
         self._sent = sent(members) if not here else None
 
     def computed(
         self, spans: Mapping[int, tuple[int, int]]
-    ) -> Iterator[tuple[int, Columns]]:
+    ) -> Generator[tuple[int, Columns], None, None]:
         """Number and members of each span, as they are ready.
 
         A process that dies costs its blocks only: they are computed again.
@@ -104,21 +112,20 @@ class Blocks:
         left, breaks = dict(spans), 0
         while left:
             try:
-                for k, columns in self._in_one_pool(left):
-                    del left[k]
-                    breaks = 0
-                    yield k, columns
+                with closing(self._in_one_pool(left)) as ready:
+                    for k, columns in ready:
+                        del left[k]
+                        breaks = 0
+                        yield k, columns
             except BrokenExecutor as error:
                 breaks += 1
+                # a pool that is the user's own cannot be made anew
                 if isinstance(self._executor, Executor) or breaks == _BREAKS:
-                    raise RuntimeError(
-                        f"a worker died {breaks} times in a row without a block "
-                        "(memory may be short: give fewer workers or a smaller block)"
-                    ) from error
+                    raise RuntimeError(_DIED.format(breaks)) from error
 
     def _in_one_pool(
         self, spans: Mapping[int, tuple[int, int]]
-    ) -> Iterator[tuple[int, Columns]]:
+    ) -> Generator[tuple[int, Columns], None, None]:
         waiting = sorted(spans, reverse=True)
         under_way: dict[Future[Columns], int] = {}
         with ExitStack() as opened:
@@ -142,7 +149,7 @@ class Blocks:
             return opened.enter_context(ThreadPoolExecutor(self.workers))
         if given == "processes":
             kind = get_context("spawn")
-            made = ProcessPoolExecutor(self.workers, mp_context=kind)
+            made = ProcessPoolExecutor(self.workers, kind, _alone)
             return opened.enter_context(made)
         if isinstance(given, Executor):
             return given
@@ -150,7 +157,7 @@ class Blocks:
         return client.get_executor()
 
     def _submitted(self, pool: Any, first: int, last: int) -> "Future[Columns]":
-        if isinstance(pool, ThreadPoolExecutor):
+        if _has_threads(pool):
             uniforms = self._sampler.uniforms
             return pool.submit(self.runs.block, first, last, uniforms, self._size)
         return pool.submit(block_elsewhere, self._sent, first, last)
@@ -215,6 +222,23 @@ def _unpacked(packed: Sent) -> tuple[UnitRuns, Sampler]:
             _READY.clear()
             _READY[packed.digest] = UnitRuns(members.study), members.sampler()
         return _READY[packed.digest]
+
+
+def _has_threads(given: Any) -> bool:
+    return isinstance(given, ThreadPoolExecutor)
+
+
+def _alone() -> None:
+    """Leave Ctrl-C to the process that shares the work out, and end with it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _is_client(given: Any) -> bool:

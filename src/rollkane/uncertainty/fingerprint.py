@@ -1,23 +1,20 @@
 """What identifies a study: its programs and numbers, not its source's text or place."""
 
-import hashlib
-import re
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any, cast
 
+import diffrax as dfx
 import equinox as eqx
 import jax
-import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
 from ..dynamics.rolling import rolling_derivative
-from .study import Study
+from ..hybrid.modes import ModedState, of
+from .program_digest import bytes_of_array, digest_of_bytes, digest_of_program
+from .study import Observable, Study
 from .unit_runs import value_of
-
-# where an object lies in memory says nothing of what it is
-_ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 
 
 def fingerprint(study: Study) -> dict[str, Any]:
@@ -30,35 +27,43 @@ def fingerprint(study: Study) -> dict[str, Any]:
         study: The study; its functions are traced.
     """
     middle = jnp.full(study.draws.dimension, 0.5)
+    t = jnp.asarray(study.times[0])
     options = dict(study.options)
     solver = options.pop("solver")
-    options["solver"] = None if solver is None else type(solver).__name__
+    options = {name: _plain(value) for name, value in options.items()}
+    options["solver"] = None if solver is None else _of_solver(solver)
 
-    def member(u: Any) -> tuple[Any, Any, Any]:
-        scene, start = study.make(cast(Any, study.draws.draw(u)))
-        return scene, jnp.zeros((), start.angular_velocity.dtype), start
+    def member(u: Any) -> tuple[Any, Any]:
+        return study.make(cast(Any, study.draws.draw(u)))
 
-    def moved(u: Any) -> Any:
-        scene, t, start = member(u)
-        return jax.tree.leaves((scene, start)), rolling_derivative(scene, t, start)
+    def moved(u: Any, t: Any) -> Any:
+        scene, start = member(u)
+        surfaces = scene.body.surface, scene.base.surface
+        ends = [one.extent(jnp.zeros(one.coordinate_count)) for one in surfaces]
+        leaves = jax.tree.leaves((scene, start))
+        return leaves, ends, rolling_derivative(scene, t, start)
 
-    def seen(u: Any) -> Any:
-        either = study.observe | study.series
-        scene, t, state = member(u)
-        return {name: jnp.asarray(f(scene, t, state)) for name, f in either.items()}
+    def seen(functions: Mapping[str, Observable]) -> str:
+        def values(u: Any, t: Any) -> Any:
+            scene, start = member(u)
+            state = start if study.modes is None else _moded(start)
+            how = study.modes, scene, t, state
+            return [value_of(f, *how) for f in functions.values()]
 
-    def happens(u: Any) -> Any:
-        scene, t, state = member(u)
-        return [value_of(e, None, scene, t, state) for e in _events(study)]
+        return digest_of_program(values, middle, t)
 
+    events = [*study.events, *study.stop]
     return {
         "distributions": study.draws.spec(),
-        "times": _of_bytes([study.times.tobytes()]),
-        "scene and start": _of_program(moved, middle),
-        "observables": [*study.observe, "/", *study.series, _of_program(seen, middle)],
+        "times": digest_of_bytes([bytes_of_array(study.times)]),
+        "scene and start": digest_of_program(moved, middle, t),
+        "observables": [
+            *(*study.observe, "/", *study.series),
+            seen(study.observe | study.series),
+        ],
         "events": [
-            *[(*_kept(e), e in study.stop) for e in _events(study)],
-            _of_program(happens, middle),
+            *[_kept(e, i >= len(study.events)) for i, e in enumerate(events)],
+            seen({str(i): event for i, event in enumerate(events)}),
         ],
         "modes": _of_tree(study.modes),
         "ends": list(study.ends),
@@ -68,46 +73,31 @@ def fingerprint(study: Study) -> dict[str, Any]:
     }
 
 
-def _events(study: Study) -> list[Any]:
-    return [*study.events, *study.stop]
+def _moded(start: Any) -> ModedState:
+    """A start as a state in modes."""
+    zero = jnp.zeros_like(start.angular_velocity)
+    return ModedState(of(start), jnp.zeros((), jnp.int32), zero)
 
 
-def _kept(event: Any) -> tuple[Any, ...]:
-    return event.name, event.direction, event.stop, event.most
+def _kept(event: Any, stops: bool) -> list[Any]:
+    return [event.name, event.direction, event.stop or stops, event.most]
 
 
 def _of_tree(tree: Any) -> str:
+    """Of numbers and of what is static."""
     leaves, structure = cast("tuple[list[Any], Any]", jax.tree.flatten(tree))
-    text = _ADDRESS.sub("", f"{structure} {eqx.tree_pformat(tree)}")
-    return _of_bytes([text.encode(), *map(_bytes, leaves)])
+    return digest_of_bytes([str(structure).encode(), *map(bytes_of_array, leaves)])
 
 
-def _of_program(function: Any, *arguments: Any) -> str:
-    program = jax.make_jaxpr(function)(*arguments)
-    text = _ADDRESS.sub("", str(program.jaxpr))
-    return _of_bytes([text.encode(), *map(_bytes, _constants(program))])
+def _of_solver(solver: dfx.AbstractSolver[Any]) -> str:
+    """A method's name, with the digest of its coefficients and of what it holds."""
+    tableau: Any = getattr(solver, "tableau", None)
+    numbers: list[Any] = [] if tableau is None else [*vars(tableau).values()]
+    held = filter(eqx.is_array_like, jax.tree.leaves((numbers, solver)))
+    digest = digest_of_bytes(map(bytes_of_array, held))
+    return f"{type(solver).__name__} {digest[:16]}"
 
 
-def _constants(program: Any) -> Iterable[Any]:
-    """Numbers that a program and those inside of it close over."""
-    yield from program.consts
-    for equation in program.jaxpr.eqns:
-        for value in equation.params.values():
-            several = isinstance(value, (tuple, list))
-            for part in cast("tuple[Any, ...]", value) if several else (value,):
-                if isinstance(part, jex.core.ClosedJaxpr):
-                    yield from _constants(part)
-                elif isinstance(part, jex.core.Jaxpr):
-                    yield from _constants(jex.core.ClosedJaxpr(part, ()))
-
-
-def _bytes(number: Any) -> bytes:
-    array = np.asarray(number)
-    return f"{array.dtype}{array.shape}".encode() + array.tobytes()
-
-
-def _of_bytes(parts: Iterable[bytes]) -> str:
-    found = hashlib.sha256()
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()
+def _plain(value: Any) -> Any:
+    """A number as JSON has it."""
+    return value.tolist() if hasattr(value, "tolist") else value

@@ -16,8 +16,11 @@ from ..simulation.ensemble_members import Members
 from ..validation.checks import FieldError
 from .draws import Draws
 
+Shown = Callable[[Any, Any, Any], Any]
 Make = Callable[[dict[str, Any]], tuple[Scene, State]]
 _REMEDY = "give a function of the draw that returns (scene, start), by jax.numpy"
+_CLOSED = "gives a scene in which a function closes over a drawn number"
+_HOLD = "let an equinox module hold the number and be the function"
 
 
 class MadeMembers:
@@ -32,18 +35,25 @@ class MadeMembers:
         start: Its start.
     """
 
-    def __init__(self, make: Make, draws: Draws):
+    def __init__(self, make: Make, draws: Draws, time: float = 0.0):
         """Make the middle member, and find what differs.
+
+        Args:
+            make: Of scene and start, of one draw.
+            draws: What is drawn.
+            time: At which motions begin [s].
 
         Raises:
             FieldError: no scene and start come out, ``make`` cannot be traced, or a
                 function inside of the scene closes over a drawn number.
         """
         self.draws, self._make = draws, make
-        middle = np.full(draws.dimension, 0.5)
-        self.scene, self.start = _pair(make(draws.draw(jnp.asarray(middle))))
+        middle = jnp.full(draws.dimension, 0.5)
+        self.scene, self.start = _pair(make(draws.draw(middle)))
         self._leaves, self._tree = _flat(self.scene, self.start)
-        self._own = self._reached(middle)
+        self._places = _places((self.scene, self.start))
+        self._time = jnp.asarray(time, self.start.angular_velocity.dtype)
+        self._own = self._reached([rolling_derivative])
         self._scenes = len(jax.tree.leaves(self.scene))
         self._made: Any = jax.jit(jax.vmap(self._of_own))
 
@@ -77,19 +87,33 @@ class MadeMembers:
         pairs = zip(leaves, self._own, strict=True)
         return [jnp.asarray(x) for x, own in pairs if own]
 
-    def _reached(self, middle: np.ndarray) -> list[bool]:
-        """Whether a draw reaches each leaf."""
+    def check(self, functions: Iterable[Shown]) -> None:
+        """See that functions that look at motions see each member as it is.
 
-        def made(u: Array) -> tuple[list[Any], Any]:
-            leaves, tree = _flat(*_pair(self._make(cast(Any, self.draws.draw(u)))))
-            self._check_alike(leaves)
-            # with the leaves known, the rates may depend on no draw
+        Args:
+            functions: Of the scene, the time [s] and a state; they can be traced.
+
+        Raises:
+            FieldError: a function inside of the scene closes over a drawn number that
+                one of them comes to.
+        """
+        self._reached(list(functions))
+
+    def _reached(self, functions: list[Shown]) -> list[bool]:
+        """Whether a draw reaches each leaf; it may reach nothing else."""
+        t = self._time
+
+        def seen(u: Array) -> tuple[list[Any], Any]:
+            made = _pair(self._make(cast(Any, self.draws.draw(u))))
+            self._check_alike(*made)
+            leaves, tree = _flat(*made)
+            # with the leaves known, nothing may depend on a draw
             scene, start = jax.tree.unflatten(tree, self._leaves)
-            time = jnp.zeros((), start.angular_velocity.dtype)
-            return leaves, rolling_derivative(scene, time, start)
+            return leaves, [shown(scene, t, start) for shown in functions]
 
+        middle = jnp.full(self.draws.dimension, 0.5)
         try:
-            program, shape = jax.make_jaxpr(made, return_shape=True)(middle)
+            program, shape = jax.make_jaxpr(seen, return_shape=True)(middle)
         except (FieldError, MemoryError):
             raise
         except Exception as error:
@@ -99,21 +123,21 @@ class MadeMembers:
         reached = reached_outputs(program.jaxpr)
         count = len(jax.tree.leaves(shape[0]))
         if any(reached[count:]):
-            raise FieldError(
-                "Study.make",
-                self._make,
-                "gives a scene in which a function closes over a drawn number",
-                "let an equinox module hold the number and be the function",
-            )
+            raise FieldError("Study.make", self._make, _CLOSED, _HOLD)
         return reached[:count]
 
-    def _check_alike(self, leaves: list[Any]) -> None:
-        found = [jnp.shape(x) for x in leaves]
-        known = [jnp.shape(x) for x in self._leaves]
+    def _check_alike(self, scene: Scene, start: State) -> None:
+        found, known = _places((scene, start)), self._places
         if found != known:
-            problem = "gives scenes of other kinds when it is traced"
-            remedy = "let the draw change numbers only"
-            raise FieldError("Study.make", self._make, problem, remedy)
+            closed = len(found) >= len(known)
+            problem = _CLOSED if closed else "gives other numbers when it is traced"
+            raise FieldError("Study.make", self._make, problem, _HOLD)
+
+
+def _places(tree: Any) -> list[tuple[str, tuple[int, ...]]]:
+    """Where the leaves of a tree are, and their shapes."""
+    leaves = cast("list[Any]", jax.tree_util.tree_flatten_with_path(tree)[0])
+    return [(jax.tree_util.keystr(path), jnp.shape(leaf)) for path, leaf in leaves]
 
 
 def _flat(scene: Scene, start: State) -> tuple[list[Any], Any]:

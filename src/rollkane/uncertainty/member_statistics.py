@@ -58,6 +58,16 @@ class MemberStatistics:
         self.running.add(values, self.good(columns), groups)
 
 
+def statistics_of(known: Mapping[str, Column]) -> tuple[str, ...]:
+    """Names of what has a mean or a probability.
+
+    Args:
+        known: What is kept of each member.
+    """
+    nothing = {name: np.zeros((0, *c.shape), c.dtype) for name, c in known.items()}
+    return tuple(values_of(known, nothing))
+
+
 def values_of(known: Mapping[str, Column], columns: Columns) -> dict[str, np.ndarray]:
     """Values of members by the names that statistics have.
 

@@ -4,13 +4,14 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from ..validation.checks import FieldError, whole
 from .executors import Blocks, Members
 from .fingerprint import fingerprint
-from .member_statistics import MemberStatistics
+from .member_statistics import MemberStatistics, statistics_of
 from .precision import Precision
 from .result import MonteCarlo, Rates
 from .sampling import KINDS
@@ -72,7 +73,8 @@ def monte_carlo(
         seed: Of the random numbers.
         sampling: ``"plain"``, ``"latin"`` or ``"sobol"`` (:func:`sampler`).
         store: Folder of a Zarr store to write; without one, members are kept in memory.
-        resume: Whether a store of the same study that is there is gone on with.
+        resume: Whether a store of the same study that is there is gone on with; one of
+            plain or Sobol samples also to a larger size.
         executor: Where blocks are computed: None (threads of this process),
             ``"processes"``, ``"dask"``, a scheduler's address, a Dask client, an
             executor of ``concurrent.futures``.
@@ -102,13 +104,15 @@ def monte_carlo(
     wanted = _wanted(stop)
     _check_shard(shard, store, bool(wanted))
     runs = UnitRuns(study)
+    _check_names(wanted, runs)
     members = Members(study, sampling, seed, size)
-    block = _block_size(block, size, runs.unit)
-    opened, about = None, _provenance(members, runs)
-    if store is not None:
-        opened = _opened(Path(store), about, runs, size, block, resume or bool(shard))
-        block = opened.block
+    block, about = _block_size(block, size, runs.unit), _provenance(members, runs)
     blocks = Blocks(members, runs, executor, workers)
+    opened = None
+    if store is not None:
+        plan = _Plan(about, runs, size, block, resume, shard)
+        opened = plan.opened(Path(store))
+        block = opened.block
     work = _Work(members, blocks, about, opened, block, keep, progress)
     return work.done(wanted, shard)
 
@@ -129,6 +133,7 @@ class _Work:
         self._members, self._blocks, self._store = members, blocks, store
         self._about = about
         self._size, self._block, self._progress = members.size, block, progress
+        self._expected = members.size
         self._sampler = members.sampler()
         self._statistics = MemberStatistics(
             blocks.runs.columns, members.study.ends, self._sampler
@@ -141,8 +146,7 @@ class _Work:
         """All members, or as many as are precise enough."""
         count = -(-self._size // self._block)
         if shard is not None:
-            self._shard(range(shard[0] - 1, count, shard[1]))
-            return self._result(None)
+            return self._shard(shard, count)
         first, reached = 0, None
         for last in _stages(count, self._block, bool(wanted)):
             self._fold(range(first, last))
@@ -152,39 +156,44 @@ class _Work:
                 break
         return self._result(reached)
 
+    def _shard(self, shard: Shard, count: int) -> MonteCarlo:
+        """The blocks of one shard."""
+        numbers = _blocks_of(shard, count)
+        spans = [self._span(k) for k in numbers]
+        self._expected = sum(last - first for first, last in spans)
+        self._fold(numbers)
+        return self._result(None, f"of shard {shard[0]}/{shard[1]} only")
+
+    def _span(self, k: int) -> tuple[int, int]:
+        return k * self._block, min((k + 1) * self._block, self._size)
+
     def _fold(self, numbers: range) -> None:
         """Statistics of some blocks, in order, whichever is ready first."""
+        store = self._store
+        missing = {
+            k: self._span(k)
+            for k in numbers
+            if store is None or store.problem(k) is not None
+        }
         early: dict[int, Columns] = {}
-        following = numbers.start
-        for k, columns in self._ready(numbers):
-            early[k] = columns
-            while following in early:
-                now = early.pop(following)
-                self._statistics.add(following * self._block, now)
-                if self._kept is not None:
-                    self._kept.append(now)
-                following += 1
+        # closed where something is raised: nothing is computed for nobody
+        with closing(self._blocks.computed(missing)) as computed:
+            for k in numbers:
+                if store is not None and k not in missing:
+                    self._take(k, store.read(k), computed=False)
+                    continue
+                while k not in early:
+                    ready, columns = next(computed)
+                    if store is not None:
+                        store.write(ready, columns)
+                    early[ready] = columns
+                self._take(k, early.pop(k), computed=True)
 
-    def _shard(self, numbers: range) -> None:
-        for _ in self._ready(numbers):
-            pass
-
-    def _ready(self, numbers: range) -> Iterator[tuple[int, Columns]]:
-        """Blocks from the store, or computed and written to it."""
-        store, missing = self._store, dict[int, tuple[int, int]]()
-        for k in numbers:
-            if store is not None and store.problem(k) is None:
-                columns = store.read(k)
-                self._tell(columns, computed=False)
-                yield k, columns
-            else:
-                last = min((k + 1) * self._block, self._size)
-                missing[k] = k * self._block, last
-        for k, columns in self._blocks.computed(missing):
-            if store is not None:
-                store.write(k, columns)
-            self._tell(columns, computed=True)
-            yield k, columns
+    def _take(self, k: int, columns: Columns, computed: bool) -> None:
+        self._statistics.add(k * self._block, columns)
+        if self._kept is not None:
+            self._kept.append(columns)
+        self._tell(columns, computed)
 
     def _tell(self, columns: Columns, computed: bool) -> None:
         count = len(columns["code"])
@@ -194,13 +203,13 @@ class _Work:
         if self._progress is not None:
             passed = max(time.monotonic() - self._began, 1e-9)
             rate = self._computed / passed
-            self._progress(Done(*self._said, self._size, rate))
+            self._progress(Done(*self._said, self._expected, rate))
 
-    def _result(self, reached: int | None) -> MonteCarlo:
+    def _result(self, reached: int | None, note: str | None = None) -> MonteCarlo:
         runs, about = self._blocks.runs, self._about
         store, seconds = self._store, time.monotonic() - self._began
-        notes = [] if reached is not None else [self._sampler.note]
-        if reached is not None and store is not None:
+        notes = [note] if reached is not None else [note, self._sampler.note]
+        if reached is not None and reached < self._size and store is not None:
             store.end_at(reached)
         return MonteCarlo(
             *(self._statistics, runs.columns, self._members.study.times, about),
@@ -269,38 +278,93 @@ def _provenance(members: Members, runs: UnitRuns) -> dict[str, Any]:
         "dimension": members.study.draws.dimension,
         "ends": members.study.ends,
         "fields": runs.fields._asdict(),
+        "unit": runs.unit,
     }
     return cast("dict[str, Any]", json.loads(json.dumps(about)))
 
 
-def _opened(
-    path: Path,
-    about: dict[str, Any],
-    runs: UnitRuns,
-    size: int,
-    block: int,
-    resume: bool,
-) -> Store:
-    """A new store, or the one that is gone on with.
+def _check_names(wanted: Sequence[Precision], runs: UnitRuns) -> None:
+    known = statistics_of(runs.columns)
+    for one in wanted:
+        if one.name not in known:
+            remedy = f"use one of {', '.join(known)}"
+            raise FieldError("Precision.name", one.name, "is not looked at", remedy)
 
-    Raises:
-        StoreError: one is there that is another study's, or not to be resumed.
+
+def _blocks_of(shard: Shard, count: int) -> range:
+    return range(shard[0] - 1, count, shard[1])
+
+
+class _Plan(NamedTuple):
+    """What a store shall hold.
+
+    Attributes:
+        about: Provenance.
+        runs: Of the study.
+        size: Members.
+        block: Members of a block, in a new store.
+        resume: Whether one that is there is gone on with.
+        shard: Part of the blocks that is computed; None: all.
     """
-    if not path.exists():
-        times = runs.study.times.tolist()
-        return create(path, about, runs.columns, size, block, times)
-    store = Store(path)
-    kept = {name: store.about.get(name) for name in about} | {"size": store.size}
-    apart = list(differences(kept, about | {"size": size}))
-    if apart:
-        raise StoreError(
-            f"{path} is the store of another study: what differs is "
-            f"{', '.join(apart)}. It is left as it is: give another store"
-        )
-    if not resume:
-        raise StoreError(
-            f"{path} is there, with {store.block_count} blocks of this study: go on "
-            "with resume=True (--resume), or give another store"
-        )
-    store.clear_leftovers()
-    return store
+
+    about: dict[str, Any]
+    runs: UnitRuns
+    size: int
+    block: int
+    resume: bool
+    shard: Shard | None
+
+    def opened(self, path: Path) -> Store:
+        """A new store, or the one that is gone on with.
+
+        Raises:
+            StoreError: one is there that is another study's, or not to be resumed.
+        """
+        resume = self.resume or self.shard is not None
+        if not path.exists():
+            times, sizes = self.runs.study.times.tolist(), (self.size, self.block)
+            # another process may have been faster, with another study
+            store, resume = create(path, self.about, self.runs.columns, *sizes, times)
+            resume = resume or self.shard is not None
+        else:
+            store = Store(path)
+        kept = {name: store.about.get(name) for name in self.about}
+        apart = list(differences(kept, self.about))
+        if apart:
+            raise StoreError(
+                f"{path} is the store of another study: what differs is "
+                f"{', '.join(apart)}. It is left as it is: give another store"
+            )
+        if not resume:
+            raise StoreError(
+                f"{path} is there, with {store.block_count} blocks of this study: go "
+                "on with resume=True (--resume), or give another store"
+            )
+        self._fit(store)
+        return store
+
+    def _fit(self, store: Store) -> None:
+        """Give the store as many places as are wanted now.
+
+        Raises:
+            StoreError: it has more, or other processes may write to it.
+        """
+        if self.size < store.size:
+            raise StoreError(
+                f"{store.path} has places for {store.size} members, more than "
+                f"{self.size}. It is left as it is: give size={store.size} or more"
+            )
+        if self.shard is not None:
+            if self.size > store.size:
+                raise StoreError(
+                    f"{store.path} ends at {store.size} members, and shards share one "
+                    f"size: go on to {self.size} without shard (--shard) first"
+                )
+            count = -(-self.size // store.block)
+            store.clear_leftovers(_blocks_of(self.shard, count))
+            return
+        store.clear_leftovers()
+        if self.size > store.size:
+            store.grow_to(self.size)
+        else:
+            store.settle()

@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -62,27 +62,37 @@ class Store:
         """
         self.path = Path(path)
         zarr = _zarr()
+        remedy = "give the folder that rollkane.monte_carlo(store=) wrote"
         try:
             self._group: Any = zarr.open_group(str(self.path), mode="r+")
             self.about: dict[str, Any] = dict(self._group.attrs)
             kept: dict[str, Any] = self.about["columns"]
-        except (OSError, KeyError, ValueError) as error:
-            remedy = "give the folder that rollkane.monte_carlo(store=) wrote"
+        except Exception as error:  # whatever is found where a study should be
             raise StoreError(f"{self.path} holds no study: {remedy}") from error
         if self.about.get("format") != _FORMAT:
             version = self.about.get("format")
             problem = f"{self.path} has format {version}, not {_FORMAT}"
             raise StoreError(f"{problem}: use the rollkane that wrote it")
+        self._arrays: dict[str, Any] = {}
         # a chunk of nothing but fill values must be there like any other
         with zarr.config.set({"array.write_empty_chunks": True}):
-            every = (*kept, "checksum", "time")
-            self._arrays: dict[str, Any] = {name: self._group[name] for name in every}
+            for name in (*kept, "checksum", "time"):
+                self._arrays[name] = self._array(name)
         self.size = int(self.about.get("ended", self.about["size"]))
         self.block = int(self.about["block"])
         self.columns = {
             name: Column(tuple(c["shape"]), np.dtype(c["dtype"]), c["kind"])
             for name, c in kept.items()
         }
+
+    def _array(self, name: str) -> Any:
+        try:
+            return self._group[name]
+        except Exception as error:  # as above
+            file = self.path / name / "zarr.json"
+            problem = f"{file} is missing or damaged"
+            remedy = "put the file back that a copy of the store has, or begin anew"
+            raise StoreError(f"{problem}: {remedy}") from error
 
     @property
     def block_count(self) -> int:
@@ -132,18 +142,56 @@ class Store:
 
     def end_at(self, size: int) -> None:
         """Cut off places behind the last member of a study that ended early."""
-        self.size = size
-        for name, column in self.columns.items():
-            self._arrays[name].resize((size, *column.shape))
-        self._arrays["checksum"].resize((self.block_count, _DIGEST))
-        self._group.attrs["ended"] = self.about["ended"] = size
+        self._put(self.about | {"ended": size})
+        self.settle()
 
-    def clear_leftovers(self) -> int:
-        """Remove what a killed process was writing; how many files that were."""
-        left = [p for p in self.path.rglob("*") if _is_leftover(p)]
+    def grow_to(self, size: int) -> None:
+        """Make places for more members; a last, shorter block does not count then."""
+        if self.size % self.block:
+            self._forget(self.block_count - 1)
+        about = {name: x for name, x in self.about.items() if name != "ended"}
+        self._put(about | {"size": size})
+        self.settle()
+
+    def settle(self) -> None:
+        """Give every array its size, which a killed process may have left undone."""
+        for name, column in self.columns.items():
+            self._resize(name, (self.size, *column.shape))
+        self._resize("checksum", (self.block_count, _DIGEST))
+
+    def _resize(self, name: str, shape: tuple[int, ...]) -> None:
+        if self._arrays[name].shape != shape:
+            self._arrays[name].resize(shape)
+
+    def _put(self, about: dict[str, Any]) -> None:
+        """Write what the size follows from, before anything that follows from it."""
+        self._group.attrs.put(about)
+        self.about = about
+        self.size = int(about.get("ended", about["size"]))
+
+    def clear_leftovers(self, blocks: Container[int] | None = None) -> int:
+        """Remove what a killed process was writing.
+
+        Args:
+            blocks: Only of these blocks, as others write to the rest.
+
+        Returns:
+            How many files that were.
+        """
+        left = [p for p in self.path.rglob("*") if self._is_leftover(p, blocks)]
         for path in left:
             path.unlink(missing_ok=True)
         return len(left)
+
+    def _is_leftover(self, path: Path, blocks: Container[int] | None) -> bool:
+        if path.suffix != ".partial" or not path.is_file():
+            return False
+        if blocks is None:
+            return True
+        # NAME/c/BLOCK.RANDOM.partial, or NAME/c/BLOCK/0.RANDOM.partial
+        parts = path.relative_to(self.path).parts
+        number = parts[2].partition(".")[0] if len(parts) > 2 else ""
+        return number.isdigit() and int(number) in blocks
 
     @property
     def times(self) -> np.ndarray:
@@ -175,10 +223,6 @@ class Store:
         self._chunk("checksum", k).unlink(missing_ok=True)
 
 
-def _is_leftover(path: Path) -> bool:
-    return path.suffix == ".partial" and path.is_file()
-
-
 def create(
     path: str | os.PathLike[str],
     about: Mapping[str, Any],
@@ -186,7 +230,7 @@ def create(
     size: int,
     block: int,
     times: Sequence[float],
-) -> Store:
+) -> tuple[Store, bool]:
     """Make an empty store; where another process was faster, open that one.
 
     Args:
@@ -197,6 +241,9 @@ def create(
         block: Members of a block.
         times: Output times [s].
 
+    Returns:
+        The store, and whether this call has made it.
+
     Raises:
         OSError: the folder above does not exist, or the system refuses.
         ImportError: Zarr is not installed.
@@ -206,6 +253,7 @@ def create(
         raise FileNotFoundError(
             f"folder {target.resolve().parent} does not exist; make it first"
         )
+    made = True
     part = target.with_name(f".{target.name}.{uuid.uuid4().hex}.part")
     try:
         _lay_out(part, about, columns, size, block, times)
@@ -214,9 +262,10 @@ def create(
         except OSError:
             if not target.is_dir():
                 raise
+            made = False
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    return Store(target)
+    return Store(target), made
 
 
 def _lay_out(

@@ -81,7 +81,7 @@ class UnitRuns:
                 observable that gives no real numbers.
         """
         self.study = study
-        self.made = MadeMembers(study.make, study.draws)
+        self.made = MadeMembers(study.make, study.draws, study.times[0])
         self.unit = _IN_LANES
         self._run = self._runs_of(_IN_LANES)
         if self._run.lanes is None:
@@ -90,6 +90,8 @@ class UnitRuns:
         self.method = self.why = ""
         self.fields = self._run.fields
         self._shapes = self._observed_shapes()
+        observables = *study.observe.values(), *study.series.values()
+        self.made.check([*observables, *study.events, *study.stop])
         self.columns = self._columns()
         self._units: OrderedDict[int, _Unit] = OrderedDict()
         self._lock = threading.Lock()
@@ -121,7 +123,7 @@ class UnitRuns:
         ended = self._seen(study.observe, scene, run.final_time, run.final_state)
         columns |= {name: _of_good(x, good) for name, x in ended.items()}
         if study.series:
-            columns |= self._series(scene, run)
+            columns |= self._series(scene, run, good)
         columns |= _happened(run)
         columns |= {
             "code": np.asarray(run.code, np.int32),
@@ -188,10 +190,15 @@ class UnitRuns:
         values = _observed(*how, scene, time, state)
         return {name: np.asarray(x)[:count] for name, x in values.items()}
 
-    def _series(self, scene: Any, run: Ensemble) -> Columns:
+    def _series(self, scene: Any, run: Ensemble, good: np.ndarray) -> Columns:
+        """Values on the way, of motions that ended as they should, up to their ends."""
         count = len(run.code)
         time = np.broadcast_to(np.asarray(run.time), (count, len(run.time)))
-        return self._seen(self.study.series, scene, time, run.state)
+        seen = self._seen(self.study.series, scene, time, run.state)
+        passed = np.abs(time - time[:, :1])
+        ended = np.abs(np.asarray(run.final_time)[:, None] - time[:, :1])
+        reached = good[:, None] & (passed <= ended)
+        return {name: _of_good(x, reached) for name, x in seen.items()}
 
     def _filled(self, x: Any) -> np.ndarray:
         x = np.asarray(x)
@@ -249,7 +256,7 @@ class UnitRuns:
 
 
 def _of_good(x: np.ndarray, good: np.ndarray) -> np.ndarray:
-    where = good.reshape(good.shape + (1,) * (x.ndim - 1))
+    where = good.reshape(good.shape + (1,) * (x.ndim - good.ndim))
     return np.where(where, x, np.nan)
 
 

@@ -95,8 +95,13 @@ class UserFunction(eqx.Module):
         ``a`` from differentiation.
         """
         example = jnp.zeros(count)
+        # what it holds itself is no closure
+        held, fixed = cast("tuple[Any, Any]", eqx.partition(self, eqx.is_array))
+        value: Callable[[Any, Array], Array] = lambda held, u: eqx.combine(held, fixed)(
+            u
+        )
         try:
-            constants = jax.make_jaxpr(self)(example).consts
+            constants = jax.make_jaxpr(value)(held, example).consts
         except Exception:
             return None  # said by check_output, with the reason
         if not is_traced(*constants):
