@@ -11,7 +11,8 @@ record at random strength (is contact lost?). Measured:
   repeats;
 - memory: the largest resident size of a process that does ``--size`` members, and of
   one that does ``--large``, each into a store;
-- workers: members a second with 1 and 2 threads, and 2 processes (which compile anew).
+- workers: members a second with 1 and 2 threads, and 2 processes (which compile anew);
+- overhead: what a block costs besides its motions, and a member's place in a store.
 
 Prints tables and writes them as JSON.
 """
@@ -21,6 +22,7 @@ import json
 import os
 import platform
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -183,6 +185,45 @@ def rates(size):
         yield row
 
 
+def overhead(blocks):
+    """What a block costs besides its motions, which hardly last: into a store [s]."""
+    file = load_scene("ball-on-plane")
+
+    def make(draw):
+        spin = jnp.array([0.0, 0.0, 1.0]) * draw["spin"]
+        turned = eqx.tree_at(lambda s: s.angular_velocity, file.start, spin)
+        return file.scene, turned
+
+    seen = {"spin": spin}
+    study = rk.Study(make, {"spin": rk.Normal(3.0, 0.5)}, (0.0, 1e-6), seen)
+    for block in blocks:
+        size = 16 * block
+        times = []
+        for _ in range(3):
+            found = stored(study, size, block=block, workers=1)
+            times.append(found.rates.seconds / 16)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "study"
+            rk.monte_carlo(study, size, 1, store=path, block=block)
+            used = sum(f.stat().st_size for f in path.rglob("*") if f.is_file())
+            began = time.perf_counter()
+            rk.read_study(path)
+            read = time.perf_counter() - began
+        row = {
+            "block": block,
+            "seconds": statistics.median(times),
+            "bytes": used / size,
+            "read": read / size,
+        }
+        print(
+            f"block of {block:>6,}: {1e3 * row['seconds']:.1f} ms, "
+            f"{1e6 * row['seconds'] / block:.2f} us and {row['bytes']:.0f} bytes a "
+            f"member; read again {1e6 * row['read']:.2f} us a member",
+            flush=True,
+        )
+        yield row
+
+
 def memory(sizes):
     """Largest resident size of processes that do so many [MiB]."""
     for size in sizes:
@@ -238,6 +279,7 @@ def main():
     tables = {
         "rates": list(rates(options.size)),
         "workers": list(workers(options.size // 4)),
+        "overhead": list(overhead((1024, 4096, 16384, 65536))),
         "memory": list(memory((options.size, options.large))),
     }
     options.out.mkdir(parents=True, exist_ok=True)

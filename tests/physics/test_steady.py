@@ -298,6 +298,43 @@ def test_linear_models_of_a_ball():
         rk.linearize(ball, still, ("forse x",))
 
 
+def test_a_loaded_ball_on_a_slope_folds_where_it_can_rest_no_more():
+    """gx / gz = e sin t / (r - e cos t) has its largest value e / sqrt(r^2 - e^2).
+
+    Mass centre e below the middle of a ball r; t is the tilt. Beyond the fold at
+    cos t = e / r the rest is unstable.
+    """
+    r, e = 0.1, 0.03
+    body = rk.Body(1.0, np.diag([3e-3, 3e-3, 4e-3]), rk.Sphere(r), (0.0, 0.0, -e))
+    scene = rk.Scene(body, loads=(rk.Gravity((0.1, 0.0, -G)),))
+    start = rk.place(scene, (1.0, 0.0, 0.02, 0.0) / np.sqrt(1.0004), ORIGIN, ORIGIN)
+    rest = rk.steady_motion(scene, start, ("spin about z",))
+    branch = rk.steady_family(scene, rest, "loads[0].acceleration[0]", (0.0, 4.0))
+    (fold,) = [c for c in branch.critical if c.kind == "fold"]
+    # located to a few roundings of the value
+    np.testing.assert_allclose(fold.value, G * e / np.sqrt(r * r - e * e), rtol=1e-13)
+    down = cosine_of_tilt(fold.state)
+    # the place of a fold on its branch is known to the root of a rounding
+    np.testing.assert_allclose(down, e / r, rtol=0, atol=1e-7)
+    stable = [p.stable for p in branch.points]
+    turned = int(np.argmax([p.value for p in branch.points]))
+    assert all(stable[: turned - 1])
+    assert not any(stable[turned + 2 :])
+    # a plain Jacobian is singular at every rest (the ball may lie anywhere, turned by
+    # any angle), and shows no fold; with the symmetry solved for it is regular on the
+    # whole branch, the fold included
+    plain = [np.linalg.det(p.solution.local.slope) for p in branch.points]
+    dets = np.abs([p.told.determinant for p in branch.points])
+    assert np.max(np.abs(plain)) < 1e-9 * np.max(dets)
+    assert np.min(dets) > 1e-4 * np.max(dets)
+
+
+def cosine_of_tilt(state):
+    """Cosine of the tilt of the body's z axis."""
+    q = np.asarray(state.orientation) / np.linalg.norm(state.orientation)
+    return 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)
+
+
 @pytest.mark.slow
 def test_linear_model_off_steady_motion_against_differences(disc):
     """A at a state that is no steady motion: differences of the rates themselves."""

@@ -3,6 +3,7 @@
 import io
 import os
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.image
@@ -205,3 +206,38 @@ def test_pictures_appear_whole_or_not_at_all(runs, tmp_path):
     with pytest.raises(rk.FieldError, match=r"plot\.kind: is not known"):
         runs.plot(tmp_path / "other.png", kind="pie")
     assert os.listdir(tmp_path) == ["fan.png"]
+
+
+@pytest.mark.slow
+def test_data_set_of_runs_with_modes(tmp_path):
+    import xarray
+
+    scene = rk.Scene(rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1)))
+    level, spin, flight = (1.0, 0.0, 0.0, 0.0), (0.0, 5.0, 0.0), (0.2, 0.0, 0.0)
+    thrown = lambda z: rk.release(scene, level, spin, (0.0, 0.0, z), flight)
+    starts = jax.vmap(thrown)(jnp.array([0.12, 0.2]))
+    modes = rk.Modes(friction=0.1, restitution=0.5)
+    runs = rk.ensemble(scene, starts, [0.0, 0.3], modes=modes)
+    write_netcdf(runs, tmp_path / "runs.nc")
+    with xarray.open_dataset(tmp_path / "runs.nc", engine="h5netcdf") as read:
+        np.testing.assert_array_equal(read["mode"], runs.mode)
+        flies = read["mode"] == rk.Mode.FLYING
+        assert flies.any()
+        np.testing.assert_array_equal(np.isnan(read["contact_on_base"][:, :, 0]), flies)
+        slips = np.linalg.norm(read["slip"], axis=-1) > 0.0
+        np.testing.assert_array_equal(slips, read["mode"] == rk.Mode.SLIPPING)
+
+
+def test_a_batch_of_ensembles():
+    """The same ensembles, each by itself, to the rounding of another program."""
+    scene, starts = problems.disc(6.0)[0], jax.vmap(problems.disc)(jnp.ones(3))[1]
+    wider = lambda r: eqx.tree_at(lambda s: s.body.surface.radius, scene, r)
+    runs = lambda r: rk.ensemble(wider(r), starts, [0.0, 0.05])
+    radii = jnp.array([0.2, 0.25])
+    both = jax.vmap(runs)(radii)
+    assert both.position.shape == (2, 3, 2, 3)
+    assert both.outcomes.shape == (2, 3)
+    assert both.reasons == {"completed": 6}
+    # some twenty steps of rounding, of lengths below one
+    one = runs(radii[0]).position
+    np.testing.assert_allclose(both.position[0], one, rtol=0, atol=1e-13)

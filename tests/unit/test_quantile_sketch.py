@@ -1,5 +1,7 @@
 """Quantiles of a stream: exact while few, then within the told error of rank."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -156,6 +158,14 @@ def test_ends_hold_the_exact_order_statistics():
         apart = sketch.above + sketch.below + 2**9
         assert low >= ordered[max(lower - 1 - apart, 0)]
         assert high <= ordered[min(upper - 1 + apart, COUNT - 1)]
+
+
+def test_ends_are_moved_by_the_error_of_rank():
+    exact = fed(UP[:1000], 1024)
+    lower, upper = quantile_ranks(0.4, 1000, 0.95)
+    assert exact.quantile(0.4) == (399.0, lower - 1.0, upper - 1.0)
+    unsure = dataclasses.replace(exact, above=30, below=50)
+    assert unsure.quantile(0.4) == (399.0, lower - 51.0, upper + 29.0)
 
 
 @pytest.mark.parametrize("count", [1, 7, 40, 1000, 123_457])

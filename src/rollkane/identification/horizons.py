@@ -17,6 +17,9 @@ from .least_squares import FIRST_DAMPING, Evaluation, Loss, Minimum, minimize
 # record's own variation (both as root mean squares up to there): an oscillation that is
 # out of phase by a fifth of a radian.
 _FOLLOWS = 0.2
+# A minimum whose misfit is above this share is of another motion: while a horizon is
+# short, one that stands still has a misfit little larger.
+_FITS = 0.05
 _SAMPLES = 3.0  # for each coordinate, at least
 _FEW = 30  # points tried at one horizon: a longer one follows
 _ENOUGH = 1.0  # promised fall of chi2 at one horizon: a standard deviation
@@ -63,7 +66,7 @@ def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Searc
     guesses = _GUESSES
     while horizon < problem.span:
         found = growth.searched(z, horizon)
-        while guesses and followed(problem, found.z, 0.0, horizon) < horizon:
+        while guesses and followed(problem, found.z, 0.0, horizon, _FITS) < horizon:
             guesses -= 1
             other = growth.searched(growth.guess(), horizon)
             found = min(found, other, key=lambda m: m.cost)
@@ -107,9 +110,21 @@ class _Growth:
 
 
 def followed(
-    problem: Problem, z: np.ndarray, least: float, most: float = np.inf
+    problem: Problem,
+    z: np.ndarray,
+    least: float,
+    most: float = np.inf,
+    share: float = _FOLLOWS,
 ) -> float:
-    """How long the prediction follows the records [s], between two limits."""
+    """How long the prediction follows the records [s], between two limits.
+
+    Args:
+        problem: Of the records.
+        z: Coordinates.
+        least: The shorter limit [s].
+        most: The longer limit [s].
+        share: Of the records' variation, that the misfit stays below besides noise.
+    """
     horizon = most
     parts = zip(
         problem.records,
@@ -125,7 +140,7 @@ def followed(
             size = np.cumsum(np.nansum(sizes[name] ** 2, axis=1))
             # noise alone is no reason to stop
             noise = np.cumsum(np.sum(np.isfinite(misfit), axis=1))
-            left = (off - 2.0 * noise > _FOLLOWS**2 * size) & (time > least)
+            left = (off - 2.0 * noise > share**2 * size) & (time > least)
             if left.any():
                 horizon = min(horizon, float(time[np.argmax(left)]))
     return horizon

@@ -153,14 +153,15 @@ def shown(ensemble: Ensemble, of: str | Callable[..., Any], at_end: bool) -> Sho
 def _fan(ensemble: Ensemble, seen: Shown) -> "Figure":
     count = min(len(seen.labels), _MOST_PANELS)
     time = np.asarray(ensemble.time, dtype=float)
-    under_way = np.isfinite(seen.values).all(axis=-1).sum(axis=0)
+    finite = np.isfinite(seen.values)
+    under_way = finite.all(axis=-1).sum(axis=0)
+    # of what hardly moves beside the others no more is shown than that
+    least = 1e-4 * float(np.ptp(seen.values[finite])) if finite.any() else 0.0
     fewer = bool((under_way < len(seen.values)).any())
     figure = new_figure((8.0, 0.8 + 2.2 * count + 1.2 * fewer))
     heights = [1.0] * count + [0.5] * fewer
-    rows = count + fewer
-    panels = figure.subplots(
-        rows, 1, sharex=True, squeeze=False, height_ratios=heights
-    )[:, 0]
+    how: Any = {"sharex": True, "squeeze": False, "height_ratios": heights}
+    panels: Any = figure.subplots(len(heights), 1, **how)[:, 0]
     if fewer:
         panels[-1].fill_between(time, under_way, color=GREEN, alpha=0.3, lw=0)
         panels[-1].set_ylim(0.0, 1.05 * len(seen.values))
@@ -178,7 +179,7 @@ def _fan(ensemble: Ensemble, seen: Shown) -> "Figure":
         (middle,) = quantiles(values, (0.5,))
         panel.plot(time, middle, color=BLUE, lw=1.4, label="median")
         widest = quantiles(values, _BANDS[0][:2])
-        panel.set_ylim(*limits(np.asarray(widest), 0.06))
+        panel.set_ylim(*limits(np.asarray(widest), 0.06, least))
         panel.set_ylabel(seen.labels[k])
         dress(panel)
     panels[0].legend(fontsize=8, frameon=False, ncols=3, loc="best")

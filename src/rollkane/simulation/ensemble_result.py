@@ -105,7 +105,8 @@ class Ensemble(AbstractMotion, eqx.Module):
     @property
     def reasons(self) -> dict[str, int]:
         """Why motions ended, and how many ended so."""
-        rows, counts = np.unique(self._ends(), axis=0, return_counts=True)
+        ends = self._ends().reshape(-1, 3)
+        rows, counts = np.unique(ends, axis=0, return_counts=True)
         every = zip(rows.tolist(), counts.tolist(), strict=True)
         return {
             self.fields.reason(code, fault, self._event(by)): n
@@ -119,12 +120,13 @@ class Ensemble(AbstractMotion, eqx.Module):
         Such as "completed", "stopped: lift-off" (of an event), "max steps",
         "bad scene: scene.body.mass".
         """
-        rows, place = np.unique(self._ends(), axis=0, return_inverse=True)
+        ends = self._ends().reshape(-1, 3)
+        rows, place = np.unique(ends, axis=0, return_inverse=True)
         names = [
             outcome_of(code, self._event(by), self.fields.name_of(fault))
             for code, fault, by in rows.tolist()
         ]
-        return np.array(names)[place.reshape(-1)]
+        return np.array(names)[place.reshape(np.shape(self.code))]
 
     def _ends(self) -> np.ndarray:
         """Code, fault and the event that ended it, of each member; shape (N, 3)."""
