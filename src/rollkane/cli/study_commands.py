@@ -67,6 +67,9 @@ def monte_carlo(
     check_targets(targets, study)
     if resume and store is None:
         _refuse("--resume", "needs the --store that is gone on with")
+    if store is not None and not Path(store).resolve().parent.is_dir():
+        folder = Path(store).resolve().parent
+        _refuse("--store", f"the folder {folder} does not exist; make it first")
     shard = _shard(options.pop("shard"))
     wanted = _precisions(options.pop("precision"))
     start_jax()
@@ -142,7 +145,10 @@ def _precisions(given: tuple[str, ...]) -> dict[str, float]:
         name, equals, text = one.rpartition("=")
         if not equals or not name.strip():
             _refuse("--precision", f"{one!r} is not NAME=HALF_WIDTH")
-        found[name.strip()] = Positive().convert(text, None, None)
+        try:
+            found[name.strip()] = Positive().convert(text, None, None)
+        except click.BadParameter as refused:
+            _refuse("--precision", f"{one!r}: {refused.message}")
     return found
 
 

@@ -46,7 +46,7 @@ def distribution_of(table: Any) -> AbstractDistribution:
         raise FieldError("distribution", table, "must be a table", remedy)
     given = dict(cast("dict[str, Any]", table))
     kind = given.pop("distribution", None)
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         remedy = f"use one of {', '.join(KINDS)}"
         raise FieldError("distribution", kind, "is no known kind", remedy)
     limits = {k: given.pop(k) for k in _LIMITS if k in given and kind in _TRUNCATED}

@@ -327,10 +327,15 @@ def differences(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator
         if isinstance(one, Mapping) and isinstance(other, Mapping):
             parts = cast("Mapping[str, Any]", one), cast("Mapping[str, Any]", other)
             yield from (f"{name} {part}" for part in differences(*parts))
-        elif isinstance(one, (int, float, str)) and len(str(one)) < 24:
+        elif _is_short(one) and _is_short(other):
             yield f"{name} ({one}, not {other})"
         else:
             yield name
+
+
+def _is_short(value: Any) -> bool:
+    plain = value is None or isinstance(value, (int, float, str))
+    return plain and len(str(value)) < 24
 
 
 def _zarr() -> Any:

@@ -19,6 +19,7 @@ from ..geometry.rotations import quaternion_of
 from ..geometry.small_linear import matvec
 from ..identification import paths
 from ..validation.checks import FieldError
+from .checked_parts import checked, checked_parts
 from .distribution_tables import distribution_of
 from .ready_observables import READY
 from .study import Study
@@ -95,7 +96,7 @@ class _Checked:
         times = document.get("times", (file.times[0], file.times[-1]))
         try:
             study = Study(
-                _make_of(file, tuple(self.varied)),
+                _make_of(file, tuple(self.varied), _first(times, file.times[0])),
                 {_word(path): one for path, one in self.varied.items()},
                 times,
                 observe=self.observe,
@@ -107,7 +108,10 @@ class _Checked:
                 method=file.method,
             )
         except FieldError as error:
-            self._report.add((), str(error), "change the study")
+            if error.field.endswith("times"):
+                self._report.add(("times",), error.problem, error.remedy)
+            else:
+                self._report.add((), str(error), "change the study")
             self._report.raise_if_any()
             raise
         title = document.get("title") or file.title
@@ -136,6 +140,7 @@ class _Checked:
         found: dict[str, Any] = {}
         for path, table in cast("Mapping[str, Any]", tables).items():
             where = "vary", path
+            self._check_apart(where, path, found)
             if self.file is not None:
                 self._check_path(where, path)
             try:
@@ -146,6 +151,15 @@ class _Checked:
             if not self._report.has_below(where):
                 self._check_shape(where, path, found[path])
         return found
+
+    def _check_apart(self, where: Any, path: str, known: Mapping[str, Any]) -> None:
+        """Of a number and an array that holds it, one would be drawn in vain."""
+        for other in known:
+            shorter, longer = sorted((path, other), key=len)
+            if longer.startswith((f"{shorter}[", f"{shorter}.")):
+                problem = f"varies what {other} varies, too"
+                remedy = "vary the whole, or its entries"
+                self._report.add(where, problem, remedy, at_key=True)
 
     def _check_shape(self, where: tuple[str, ...], path: str, one: Any) -> None:
         if self.file is None:
@@ -179,7 +193,7 @@ class _Checked:
             return {}
         found: dict[str, Any] = {}
         for i, name in enumerate(cast("list[Any]", given)):
-            if name not in READY:
+            if str(name) not in READY:
                 meant = suggestion(str(name), READY) or known
                 self._report.add((field, i), "is not known", meant)
                 continue
@@ -205,9 +219,16 @@ class _Checked:
 
     def _event(self, where: tuple[str, int], table: dict[str, Any]) -> Event | None:
         self._unknown(where, table, _EVENT_KEYS)
-        of, stop = table.get("of"), bool(table.get("stop", False))
+        of, stop = table.get("of"), table.get("stop", False)
+        name = table.get("name", of)
+        if not isinstance(stop, bool):
+            self._report.add((*where, "stop"), "must be true or false", "write true")
+            return None
+        if not isinstance(name, str):
+            self._report.add((*where, "name"), "must be a text", "write a name")
+            return None
         if of == "lift-off":
-            return Event.lift_off(stop, str(table.get("name", "lift-off")))
+            return Event.lift_off(stop, name)
         scalars = [name for name in READY if name not in _VECTORS]
         if of not in scalars:
             remedy = f'use "lift-off" or one of {", ".join(scalars)}'
@@ -219,7 +240,7 @@ class _Checked:
             self._report.add((*where, "level"), "must be a number", remedy)
             return None
         crossing = _Crossing(READY[of], float(level))
-        direction, name = table.get("direction", 0), str(table.get("name", of))
+        direction = table.get("direction", 0)
         try:
             return Event(crossing, direction, stop, name)
         except FieldError as error:
@@ -319,15 +340,33 @@ def _word(path: str) -> str:
     return text.strip("_")
 
 
-def _make_of(file: SceneFile, varied: tuple[str, ...]) -> Callable[..., Any]:
+def _first(times: Any, default: Any) -> float:
+    """When a motion begins [s]; of times that are none, which are refused, any."""
+    try:
+        return float(times[0])
+    except (TypeError, ValueError, LookupError):
+        return float(default)
+
+
+def _make_of(
+    file: SceneFile, varied: tuple[str, ...], time: float
+) -> Callable[..., Any]:
     model = _Model.of(file)
-    time = float(file.times[0])
-    contact = contact_of(file.scene, jnp.asarray(time), file.start)
-    return functools.partial(_made, model, contact.body_point, time, varied)
+    # where the body touches, by which a start among several is chosen
+    first = jnp.asarray(float(file.times[0]))
+    contact = contact_of(file.scene, first, file.start)
+    parts = checked_parts(model, map(_keys, varied))
+    near = contact.body_point
+    return functools.partial(_made, model, near, time, varied, parts)
 
 
 def _made(
-    model: _Model, near: Any, time: float, varied: tuple[str, ...], draw: Any
+    model: _Model,
+    near: Any,
+    time: float,
+    varied: tuple[str, ...],
+    parts: list[paths.Keys],
+    draw: Any,
 ) -> tuple[Scene, Any]:
     """Scene and start of one draw."""
     for path in varied:
@@ -335,4 +374,5 @@ def _made(
         old = paths.found(model, keys)
         new = jnp.asarray(draw[_word(path)], old.dtype)
         model = paths.replaced(model, keys, new)
+    model = checked(model, parts)
     return model.scene, model.placed(near, time)

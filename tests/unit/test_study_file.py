@@ -1,0 +1,195 @@
+"""Studies in files: what is read, and how each mistake is told."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.files.scene_files import SceneFileError, load_scene
+from rollkane.uncertainty.draws import flat
+from rollkane.uncertainty.ready_observables import READY
+from rollkane.uncertainty.study_file import load_study
+
+VARY = """
+[vary."start.angular_velocity[2]"]
+distribution = "normal"
+mean = 3.0
+std = 0.5
+"""
+GOOD = (
+    """
+title = "Does it turn back?"
+scene = "rattleback"
+times = [0.0, 0.1]
+size = 100
+seed = 3
+sampling = "sobol"
+block = 64
+observe = ["spin", "position"]
+series = ["energy"]
+"""
+    + VARY
+    + """
+[vary."body.mass"]
+distribution = "uniform"
+low = 0.9
+high = 1.1
+
+[[events]]
+name = "reversal"
+of = "spin"
+level = 0.0
+direction = -1
+
+[[events]]
+of = "lift-off"
+stop = true
+"""
+)
+
+
+def written(folder, text):
+    file = folder / "study.toml"
+    file.write_text(text)
+    return file
+
+
+def test_what_a_file_says(tmp_path):
+    file = load_study(written(tmp_path, GOOD))
+    assert file.title == "Does it turn back?"
+    assert (file.size, file.seed, file.sampling, file.block) == (100, 3, "sobol", 64)
+    study = file.study
+    assert study.draws.names == ("start_angular_velocity_2", "body_mass")
+    assert list(study.observe) == ["spin", "position"]
+    assert list(study.series) == ["energy series"]
+    assert study.event_names == ("reversal", "lift-off")
+    reversal, lift = study.events
+    assert (reversal.direction, reversal.stop, lift.stop) == (-1, False, True)
+    np.testing.assert_array_equal(study.times, [0.0, 0.1])
+
+
+def test_numbers_come_where_they_belong(tmp_path):
+    """The start is that of the scene's file, but for what was drawn."""
+    study = load_study(written(tmp_path, GOOD)).study
+    known = load_scene("rattleback")
+    drawn = study.draws.draw(jnp.array([0.8, 0.25]))
+    scene, start = study.make(drawn)
+    assert scene.body.mass == pytest.approx(0.95, rel=1e-14)  # a quarter of the way
+    turning = READY["angular_velocity"](scene, 0.0, start)
+    old = READY["angular_velocity"](known.scene, 0.0, known.start)
+    wanted = [*old[:2], flat(drawn)["start_angular_velocity_2"]]
+    # through a rotation and back: roundings of numbers of order 5
+    np.testing.assert_allclose(turning, wanted, atol=1e-13)
+    place = READY["position"](scene, 0.0, start)
+    np.testing.assert_allclose(
+        place, READY["position"](known.scene, 0.0, known.start), atol=1e-13
+    )
+
+
+def test_a_scene_file_beside_the_study(tmp_path):
+    (tmp_path / "mine.toml").write_text(BALL)
+    text = 'scene = "mine.toml"\nobserve = ["spin"]\n' + VARY
+    file = load_study(written(tmp_path, text))
+    assert file.title == "a ball of mine"
+    assert file.size is None
+    assert (file.seed, file.sampling, file.block) == (0, "plain", None)
+    np.testing.assert_array_equal(file.study.times, [0.0, 2.0])
+
+
+BALL = """
+title = "a ball of mine"
+[body]
+mass = 1.0
+inertia = [[0.004, 0.0, 0.0], [0.0, 0.004, 0.0], [0.0, 0.0, 0.004]]
+[body.surface]
+kind = "sphere"
+radius = 0.1
+[start]
+rotations = []
+angular_velocity = [0.0, 1.0, 0.0]
+contact_on_base = [0.0, 0.0, 0.0]
+[run]
+duration = 2.0
+"""
+
+WRONG = {
+    "no scene": (("scene = ", "sene = "), ("sene", "did you mean scene?")),
+    "another scene": (('"rattleback"', '"ratleback"'), ("scene:", "cannot be used")),
+    "a number": (('"rattleback"', "3"), ("scene:", "must name a scene")),
+    "an observable": (('"spin", ', '"spinn", '), ("observe[0]", "did you mean spin?")),
+    "a list": (('"spin", ', '["spin"], '), ("observe[0]", "is not known")),
+    "no list": (('["energy"]', '"energy"'), ("series", "must be a list")),
+    "a size": (("size = 100", "size = 0"), ("size", "whole number of at least 1")),
+    "a seed": (("seed = 3", "seed = 1.5"), ("seed", "whole number")),
+    "sampling": (('"sobol"', '"sobel"'), ("sampling", "plain, latin, sobol")),
+    "times": (
+        ("times = [0.0, 0.1]", "times = [0.1, 0.1]"),
+        ("times: must be finite and strictly increasing",),
+    ),
+    "no times": (("times = [0.0, 0.1]", 'times = "ten"'), ("times",)),
+    "a path": (('"body.mass"', '"body.mas"'), ("body.mas", "did you mean")),
+    "an index": (("velocity[2]", "velocity[7]"), ("is no number of",)),
+    "an empty path": (('"body.mass"', '""'), ("vary",)),
+    "a whole": (("velocity[2]", "velocity"), ("draws numbers of shape ()",)),
+    "twice": (
+        ('[vary."body.mass"]', '[vary."start.angular_velocity"]'),
+        ("varies what start.angular_velocity[2] varies, too",),
+    ),
+    "a distribution": (('"normal"', '"gauss"'), ("is no known kind", "normal")),
+    "a list of them": (('"normal"', '["normal"]'), ("is no known kind",)),
+    "an argument": (("std = 0.5", "sigma = 0.5"), ("lacks std",)),
+    "a range": (("low = 0.9", "low = 1.9"), ("vary",)),
+    "an event of nothing": (('of = "spin"', 'of = "sin"'), ("events[0].of",)),
+    "an event of a vector": (('of = "spin"', 'of = "position"'), ("is no number to",)),
+    "an event of a list": (('of = "spin"', "of = []"), ("events[0]",)),
+    "a level": (("level = 0.0", 'level = "low"'), ("level", "must be a number")),
+    "a direction": (("direction = -1", "direction = 2"), ("direction",)),
+    "a stop": (("stop = true", 'stop = "no"'), ("stop", "must be true or false")),
+    "a name": (('name = "reversal"', "name = 3"), ("name", "must be a text")),
+    "one name twice": (('name = "reversal"', 'name = "spin"'), ("is there twice",)),
+    "an unknown key": (
+        ("level = 0.0", "levle = 0.0"),
+        ("levle", "did you mean level?"),
+    ),
+    "no TOML": (("size = 100", "size = = 100"), ("line",)),
+    "nothing to see": (
+        (GOOD[GOOD.index("observe") : GOOD.index("\n[vary")], "\n"),
+        (),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_mistakes_are_told(tmp_path, name):
+    """With the file's name; ``said`` is in the message, whatever its line breaks."""
+    (old, new), said = WRONG[name]
+    assert GOOD.count(old) == 1
+    file = written(tmp_path, GOOD.replace(old, new))
+    if name == "nothing to see":  # but events, which are something
+        assert load_study(file).study.observe == {}
+        return
+    with pytest.raises(SceneFileError) as refused:
+        load_study(file)
+    text = str(refused.value)
+    assert "study.toml" in text
+    for part in said:
+        assert part in text, text
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    text = GOOD.replace("size = 100", "size = 0").replace('"uniform"', '"unifrm"')
+    with pytest.raises(SceneFileError) as refused:
+        load_study(written(tmp_path, text.replace('of = "spin"', 'of = "sin"')))
+    assert len(refused.value.problems) == 3
+    with pytest.raises(SceneFileError, match="none"):
+        load_study(tmp_path / "none.toml")
+
+
+def test_a_study_begins_at_its_own_first_time(tmp_path):
+    """On a turntable that speeds up, the start rolls with the base as it then is."""
+    text = 'scene = "ellipsoid-on-six-axis-table"\ntimes = [0.3, 0.4]\n'
+    study = load_study(written(tmp_path, text + 'observe = ["spin"]\n' + VARY)).study
+    scene, start = study.make({"start_angular_velocity_2": jnp.asarray(2.5)})
+    t = jnp.asarray(0.3)
+    assert READY["spin"](scene, t, start) == pytest.approx(2.5, rel=1e-13)
+    assert isinstance(scene, rk.Scene)
