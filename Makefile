@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-sensitivity accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -67,6 +67,9 @@ bench-sensitivity: $(VENV)/.bench .venv-salib/.installed
 .venv-%/.installed:
 	-$(PYTHON) -m venv .venv-$* && .venv-$*/bin/python -m pip install --quiet \
 		--disable-pip-version-check numpy $* && touch $@
+
+bench-monte-carlo: $(VENV)/.bench
+	$(BIN)/python benchmarks/faults.py --out benchmarks/results
 
 accuracy: $(VENV)/.bench
 	$(BIN)/python benchmarks/accuracy.py --out benchmarks/results

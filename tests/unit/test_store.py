@@ -299,6 +299,24 @@ def test_ctrl_c_costs_the_blocks_in_hand(untouched, tmp_path):
     assert tree(store) == tree(untouched)
 
 
+def test_ctrl_c_waits_for_the_block_that_is_being_written(tmp_path, monkeypatch):
+    store, digest, calls = tmp_path / "s.zarr", Store._digest, []
+
+    def late(self, k):
+        calls.append(k)
+        if len(calls) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return digest(self, k)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(Store, "_digest", late)
+    with pytest.raises(KeyboardInterrupt):
+        run(store)
+    assert signal.getsignal(signal.SIGINT) is before
+    monkeypatch.setattr(Store, "_digest", digest)
+    assert rk.read_study(store).size == 150
+
+
 def test_a_full_disk_costs_the_block_in_hand(untouched, tmp_path, monkeypatch):
     store = tmp_path / "s.zarr"
     write, room = Path.open, [60]

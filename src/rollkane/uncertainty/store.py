@@ -7,13 +7,16 @@ disk or a chunk that is cut or lost costs the blocks that they touch, which are 
 again.
 """
 
+import contextlib
 import hashlib
 import itertools
 import json
 import os
 import shutil
+import signal
+import threading
 import uuid
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -110,12 +113,13 @@ class Store:
             OSError: the system refuses, for example as the disk is full; the block does
                 not count.
         """
-        self._forget(k)
         first, last = self.span(k)
-        for name in self.columns:
-            self._arrays[name][first:last] = columns[name]
-        digest = np.frombuffer(self._digest(k), np.uint8)
-        self._arrays["checksum"][k] = digest
+        with _uninterrupted():
+            self._forget(k)
+            for name in self.columns:
+                self._arrays[name][first:last] = columns[name]
+            digest = np.frombuffer(self._digest(k), np.uint8)
+            self._arrays["checksum"][k] = digest
 
     def read(self, k: int) -> Columns:
         """One block."""
@@ -331,6 +335,22 @@ def differences(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator
             yield f"{name} ({one}, not {other})"
         else:
             yield name
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Generator[None, None, None]:
+    """Let Ctrl-C wait for a block, whose files other threads are writing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if asked:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _is_short(value: Any) -> bool:
