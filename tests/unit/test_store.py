@@ -299,6 +299,25 @@ def test_ctrl_c_costs_the_blocks_in_hand(untouched, tmp_path):
     assert tree(store) == tree(untouched)
 
 
+def test_blocks_that_nobody_wants_any_more_end_at_their_next_unit(monkeypatch):
+    """Of 40 units of a block some are done when its first one has been taken."""
+    study = small.rolling()
+    runs, units = small._runs(study), []
+
+    def counted(u):
+        units.append(len(u))
+        time.sleep(0.02)
+        return {"code": np.zeros(len(u), int)}
+
+    monkeypatch.setattr(runs, "members", counted)
+    members = executors.Members(study, "plain", 1, 1024 * 41)
+    blocks = executors.Blocks(members, runs, None, 2)
+    computed = blocks.computed({0: (0, 1024), 1: (1024, 1024 * 41)})
+    assert next(computed)[0] == 0
+    computed.close()
+    assert len(units) < 20  # after some 0.02 s of 0.8 s
+
+
 def test_ctrl_c_waits_for_the_block_that_is_being_written(tmp_path, monkeypatch):
     store, digest, calls = tmp_path / "s.zarr", Store._digest, []
 

@@ -10,6 +10,7 @@ from collections.abc import Generator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
+    CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
@@ -22,6 +23,7 @@ from typing import Any, NamedTuple, cast
 
 import jax
 import jax.experimental
+import numpy as np
 
 from ..simulation.ensemble_run import processors
 from ..validation.checks import FieldError, whole
@@ -87,7 +89,7 @@ class Blocks:
         """
         self.runs, self.workers = runs, _workers(workers)
         self._executor, self._sampler = executor, members.sampler()
-        self._size = members.size
+        self._size, self._stopped = members.size, threading.Event()
         if _is_client(executor):
             self.workers = max(len(executor.scheduler_info()["workers"]), 1)
         elif not _is_known(executor):
@@ -128,6 +130,7 @@ class Blocks:
     ) -> Generator[tuple[int, Columns], None, None]:
         waiting = sorted(spans, reverse=True)
         under_way: dict[Future[Columns], int] = {}
+        self._stopped.clear()
         with ExitStack() as opened:
             pool = self._pool(opened)
             try:
@@ -140,8 +143,15 @@ class Blocks:
                     for future in sorted(ready, key=lambda f: under_way[f]):
                         yield under_way.pop(future), future.result()
             finally:
+                self._stopped.set()
                 for future in under_way:
                     future.cancel()
+
+    def _uniforms(self, first: int, count: int) -> np.ndarray:
+        """Those of a unit; none where its block is not wanted any more."""
+        if self._stopped.is_set():
+            raise CancelledError
+        return self._sampler.uniforms(first, count)
 
     def _pool(self, opened: ExitStack) -> Any:
         given = self._executor
@@ -158,8 +168,7 @@ class Blocks:
 
     def _submitted(self, pool: Any, first: int, last: int) -> "Future[Columns]":
         if _has_threads(pool):
-            uniforms = self._sampler.uniforms
-            return pool.submit(self.runs.block, first, last, uniforms, self._size)
+            return pool.submit(self.runs.block, first, last, self._uniforms, self._size)
         return pool.submit(block_elsewhere, self._sent, first, last)
 
 
@@ -229,8 +238,9 @@ def _has_threads(given: Any) -> bool:
 
 
 def _alone() -> None:
-    """Leave Ctrl-C to the process that shares the work out, and end with it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """End without a word by Ctrl-C, and with the process that shares the work out."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as nohup has it
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     parent = os.getppid()
 
     def watch() -> None:

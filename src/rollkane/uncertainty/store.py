@@ -340,7 +340,8 @@ def differences(known: Mapping[str, Any], wanted: Mapping[str, Any]) -> Iterator
 @contextlib.contextmanager
 def _uninterrupted() -> Generator[None, None, None]:
     """Let Ctrl-C wait for a block, whose files other threads are writing."""
-    if threading.current_thread() is not threading.main_thread():
+    here = threading.current_thread() is threading.main_thread()
+    if not here or signal.getsignal(signal.SIGINT) is None:
         yield
         return
     asked: list[int] = []
