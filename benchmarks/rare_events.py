@@ -85,7 +85,7 @@ def measured(model, of, threshold, below, probability, runs):
     # as many motions in subset simulation alone
     motions = float(np.mean([run.motions for run in found]))
     levels = np.mean([len(run.levels) for run in found])
-    size = round(motions / (1.0 + 0.9 * (levels - 1.0)), -1)
+    size = round(motions / 4.0 / (1.0 + 0.9 * (levels - 1.0)), -1)
     alone = [
         rk.subset_simulation(
             *(model, of, threshold, int(size)), below=below, seed=seed, precision=1.0

@@ -199,6 +199,42 @@ def test_bounds_hold_for_every_completion():
     assert tight < 0.3  # they are not merely 0 and 1
 
 
+def test_bounds_are_quotients_of_extremes():
+    """Written out: mean squares and variances at the ends that failures may reach."""
+    rng = np.random.default_rng(4)
+    b = rng.normal(size=(60, 1))
+    a = rng.normal(size=(60, 1))
+    c = a[:, None] + 0.1 * rng.normal(size=(60, 1, 1))
+    a[:2], b[4], c[1:4] = np.nan, np.nan, np.nan  # row 1 lacks both of a pair
+    design, units = Design(a, b, c), np.zeros(60, int)
+    every = design.every()[..., 0]
+    known = every[np.isfinite(every)]
+    low, high = np.array([known.min()]), np.array([known.max()])
+    found = index_bounds(bound_sums(design, low, high, units))
+    missing = every.size - known.size
+    filled = lambda x: np.concatenate([known, np.full(missing, x)]).var()
+    largest = max(
+        np.concatenate([known, np.full(k, low), np.full(missing - k, high)]).var()
+        for k in range(missing + 1)
+    )
+    x, y = a[:, 0], c[:, 0, 0]
+    pairs = np.isfinite(x) & np.isfinite(y)
+    one = np.concatenate([y[:1], x[2:4]])
+    most = 0.5 * ((x - y)[pairs] ** 2).sum() + 0.5 * (high - low) ** 2
+    most = most + 0.5 * np.maximum((one - low) ** 2, (one - high) ** 2).sum()
+    least = 0.5 * ((x - y)[pairs] ** 2).sum()
+    # sums of 180 numbers of order one: their rounding
+    expected = most[0] / 60 / filled(known.mean())
+    assert found["total_high"][0, 0, 0] == pytest.approx(expected, rel=1e-12)
+    assert expected < 1.0
+    # the share at the upper end is a number of motions here, any number there: their
+    # variances differ by some (1 / 180)^2 of the range's square
+    apart = float((high - low)[0] ** 2) / 180**2 / largest
+    reached = least / 60 / largest
+    assert reached * (1.0 - apart) <= found["total_low"][0, 0, 0]
+    assert found["total_low"][0, 0, 0] <= reached * (1.0 + 1e-12)  # rounding
+
+
 def test_outputs_of_any_shape():
     """Each number of an array has the indices that it has alone."""
 

@@ -16,7 +16,8 @@ import click
 from .. import __version__
 from .fit_command import fit
 from .output_files import check_targets, telling_of_files, write
-from .preparation import STOPPED_EARLY, Positive, loaded, start_jax
+from .preparation import BAD_INPUT, STOPPED_EARLY, Positive, loaded, start_jax
+from .setup_commands import doctor, new
 from .steady_commands import family, steady
 from .study_commands import monte_carlo, show
 
@@ -30,7 +31,7 @@ def main() -> None:
     """Exact dynamics of a rigid body that rolls without slipping."""
 
 
-for _command in (fit, steady, family, monte_carlo, show):
+for _command in (new, fit, steady, family, monte_carlo, show, doctor):
     main.add_command(_command)
 
 
@@ -40,6 +41,13 @@ for _command in (fit, steady, family, monte_carlo, show):
 @click.option("--plot", type=click.Path(), help="PNG: spin, tilt, energy, force.")
 @click.option("--path", type=click.Path(), help="PNG: the path of the contact point.")
 @click.option("--view", type=click.Path(), help="HTML page that shows the motion.")
+@click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="A number in the place of the file's: body.mass=2, start.orientation=[...].",
+)
 @click.option("--rtol", type=Positive(), help="Relative tolerance of a step.")
 @click.option("--atol", type=Positive(), help="Absolute tolerance of a step.")
 @click.option("--duration", type=Positive(), help="Time that the motion lasts [s].")
@@ -65,6 +73,7 @@ def simulate(
     plot: str | None,
     path: str | None,
     view: str | None,
+    changes: tuple[str, ...],
     rtol: float | None,
     atol: float | None,
     duration: float | None,
@@ -82,7 +91,7 @@ def simulate(
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene)
     start_jax()
-    file = loaded(ctx, scene)
+    file = loaded(ctx, scene, changes)
 
     import numpy as np
 
@@ -232,10 +241,19 @@ def _shown_by(bar: Any) -> Callable[[int, int, str], None]:
 
 
 @main.command()
-def scenes() -> None:
+@click.option("--show", metavar="NAME", help="Print the file of one of them.")
+@click.pass_context
+def scenes(ctx: click.Context, show: str | None) -> None:
     """List the built-in scenes."""
-    from ..files.scene_files import builtin_scenes
+    from ..files.scene_files import SceneFileError, builtin_scenes, scene_text
 
+    if show is not None:
+        try:
+            click.echo(scene_text(show), nl=False)
+        except SceneFileError as error:
+            click.echo(str(error), err=True)
+            ctx.exit(BAD_INPUT)
+        return
     lines = builtin_scenes()
     width = max(map(len, lines))
     for name, description in lines.items():

@@ -44,12 +44,30 @@ def start_jax() -> None:
     jax.config.update("jax_enable_x64", True)
 
 
-def loaded(ctx: click.Context, scene: str) -> Any:
-    """The scene file, or its errors and the end of the command."""
+def changes_of(given: tuple[str, ...]) -> dict[str, str]:
+    """Values by path, of options ``PATH=VALUE``."""
+    found: dict[str, str] = {}
+    for one in given:
+        path, equals, text = one.partition("=")
+        if not equals or not path.strip() or not text.strip():
+            problem = f"{one!r} is not PATH=VALUE, such as body.mass=2.0"
+            raise click.BadParameter(problem, param_hint="'--set'")
+        found[path.strip()] = text.strip()
+    return found
+
+
+def loaded(ctx: click.Context, scene: str, changes: tuple[str, ...] = ()) -> Any:
+    """The scene file, or its errors and the end of the command.
+
+    Args:
+        ctx: Of the command.
+        scene: Name or path.
+        changes: Options ``PATH=VALUE``, in the place of what the file gives.
+    """
     from ..files.scene_files import SceneFileError, load_scene
 
     try:
-        return load_scene(scene)
+        return load_scene(scene, changes_of(changes))
     except SceneFileError as error:
         count = len(error.problems)
         click.echo(str(error), err=True)

@@ -67,6 +67,15 @@ def _compiler(chosen: str | None) -> _Compiler:
     )
 
 
+def compiler_command() -> tuple[str, ...]:
+    """The command that programs are compiled with.
+
+    Raises:
+        NoCompilerError: there is none that works.
+    """
+    return _compiler(os.environ.get("CC")).command
+
+
 def program_of(
     dtype: DTypeLike, lanes: int, head: Mapping[str, int], parts: Iterable[str]
 ) -> str:

@@ -64,7 +64,8 @@ def conditional_chains(
     z = np.empty((steps, *seeds.shape))
     margins = np.empty((steps, len(seeds)))
     z[0], margins[0] = seeds, seed_margins
-    spread = seeds.std(axis=0)
+    # more than one where the event lies on several sides, each of them narrow
+    spread = np.minimum(seeds.std(axis=0), 1.0)
     accepted = 0.0
     for i in range(1, steps):
         sigma = np.minimum(scale * spread, 1.0)

@@ -19,6 +19,7 @@ _DEFENSE = 0.05  # the standard normal density's part
 _MOST_COMPONENTS = 5
 _SWEEPS = 200
 _ENOUGH = 1e-6  # growth of the mean log-likelihood with which sweeps end
+_CLEAR = 1.3  # times as far from 1 as chance brings eigenvalues
 _STARTS = 3  # of each number of components
 
 
@@ -126,7 +127,7 @@ def _directions(z: np.ndarray, weights: np.ndarray, effective: float) -> np.ndar
     """
     moments = (z * (weights / weights.sum())[:, None]).T @ z
     values, vectors = np.linalg.eigh(moments)
-    wide = np.sqrt(z.shape[1] / effective)
+    wide = _CLEAR * np.sqrt(z.shape[1] / effective)
     usual = (values < (1.0 + wide) ** 2) & (values > max(1.0 - wide, 0.0) ** 2)
     usual[-1] = False
     return vectors[:, ~usual]

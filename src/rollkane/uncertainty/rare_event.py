@@ -76,7 +76,8 @@ class RareEvent:
         importance: Estimate of importance sampling [1]; None where there was none.
         level: Probability with which ``interval`` covers [1].
         levels: Those of the first run of subset simulation.
-        runs: Of subset simulation: more than one where importance sampling differed.
+        runs: Of subset simulation: more than were asked for where importance sampling
+            differed.
         names: Of the standard normal numbers z of what is drawn, shape (d,).
         likeliest: The z of largest density at which the event was seen [1], shape (d,);
             NaN where it was not seen.
@@ -156,8 +157,6 @@ class RareEvent:
         yield f"P({self.of} {sign} {self.threshold:g}) = {self.probability:.4g}"
         yield f"  {100.0 * self.level:g} % interval {low:.4g} to {high:.4g}"
         yield f"  by {self.method} ({self.why}), {self.motions} motions"
-        if self.runs > 1:
-            yield f"  {self.runs} runs of subset simulation; levels are of the first"
         if self.failed:
             yield f"WARNING: {self.failed} of {self.motions} motions FAILED"
             yield from (f"  {count}: {why}" for why, count in self.reasons.items())
@@ -169,6 +168,7 @@ class RareEvent:
         ):
             if one is not None:
                 yield f"  {name:20} {one.probability:.4g} +- {100 * one.relative:.1f} %"
+        yield f"  levels of the first of {self.runs} runs of subset simulation:"
         yield "  level   threshold      given the last   error   accepted"
         for i, level in enumerate(self.levels):
             shown = f"{level.threshold:<13.6g}  {level.probability:<15.4g}"

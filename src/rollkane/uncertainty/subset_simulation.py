@@ -29,8 +29,9 @@ def subset_simulation(
     model: Model | Study,
     of: str,
     threshold: float,
-    size_per_level: int = 2000,
+    size_per_level: int = 1000,
     *,
+    runs: int = 4,
     below: bool = False,
     seed: int = 0,
     level: float = 0.95,
@@ -51,7 +52,9 @@ def subset_simulation(
             towards the event (a margin, a largest value); whether the event happened,
             0 or 1, leads nowhere.
         threshold: That the output reaches [its unit].
-        size_per_level: Motions of each level, a multiple of 10.
+        size_per_level: Motions of each level of a run, a multiple of 10.
+        runs: Independent runs of subset simulation. Each may lose a part of the event
+            that is not connected with the rest; all hardly do.
         below: Whether the event is an output at or below the threshold.
         seed: Of all random numbers.
         level: Probability with which the interval covers [1].
@@ -82,10 +85,11 @@ def subset_simulation(
     if precision <= 0.0:
         remedy = "give the standard error over probability that is enough, as 0.05"
         raise FieldError(f"{field}.precision", precision, "must be positive", remedy)
+    runs = whole(f"{field}.runs", runs, 1, "give how many runs")
     most = whole(f"{field}.motions", motions, size, "give at least one level's")
     model = model_of(model)
     margin = LimitMargin(model, of, threshold, below)
-    search = _Search(margin, model.draws.dimension, size, seed, most)
+    search = _Search(margin, model.draws.dimension, size, runs, seed, most)
     search.run(precision)
     used, why = search.chosen()
     return RareEvent(
@@ -136,9 +140,15 @@ class _Search:
     """
 
     def __init__(
-        self, margin: LimitMargin, dimension: int, size: int, seed: int, most: int
+        self,
+        margin: LimitMargin,
+        dimension: int,
+        size: int,
+        count: int,
+        seed: int,
+        most: int,
     ):
-        self.margin, self.size, self.most = margin, size, most
+        self.margin, self.size, self.count, self.most = margin, size, count, most
         self.rng = np.random.default_rng([seed, 0x5B5E7])
         self.sampler = sampler("plain", dimension, seed, most)
         self.runs: list[_Reached] = []
@@ -159,38 +169,53 @@ class _Search:
 
     def run(self, precision: float) -> None:
         """Until both estimates agree, or no motions are left."""
-        while True:
-            first = len(self.runs) * self.size
-            z = to_normal(self.sampler.uniforms(first, self.size))
-            reached = _levels(self.margin, z, self.rng, self.most)
-            if self.runs and reached.stopped:
-                return
-            self.runs.append(reached)
-            self.why = reached.stopped or self._no_fit(precision)
+        wanted = self.count
+        while self._explored(wanted):
+            self.why = self._no_fit(precision)
             if self.why:
                 return
             self._sharpen(precision)
-            used = sum(level.motions for level in self.runs[0].levels)
-            if self._agree() or self.left < used + 3 * self.size:
+            if self._agree():
                 return
+            wanted = 2 * len(self.runs)
+
+    def _explored(self, wanted: int) -> bool:
+        """Runs of subset simulation, up to so many; whether there is a new one."""
+        before = len(self.runs)
+        while len(self.runs) < wanted:
+            if self.runs and self.left < self._cost():
+                break
+            first = len(self.runs) * self.size
+            z = to_normal(self.sampler.uniforms(first, self.size))
+            reached = _levels(self.margin, z, self.rng, self.most)
+            if reached.stopped and self.runs:
+                break
+            self.runs.append(reached)
+            if reached.stopped:
+                self.why = reached.stopped
+                return False
+        return len(self.runs) > before
+
+    def _cost(self) -> int:
+        """Motions that one more run may take, and a level to spare."""
+        return max(sum(x.motions for x in run.levels) for run in self.runs) + self.size
 
     def _no_fit(self, precision: float) -> str:
         if self.subset.relative <= precision:
             return "its error is small enough"
         if precision >= 1.0 or self.left < 2 * self.size:
             return "no motions were left for importance sampling"
-        event = self.runs[-1].event
-        if len(event) < max(_FEW, 2 * event.shape[1]):
+        if sum(len(run.event) for run in self.runs) < _FEW:
             return "too few states show the event for a fit"
         return ""
 
     def _sharpen(self, precision: float) -> None:
         """Importance sampling from a mixture that is fitted again and again.
 
-        First to the states of subset simulation, then to weighted samples of the last
-        mixture, which are independent of each other, until they grow no better; those
-        that are counted are drawn from the final one only. Half of the motions are kept
-        where the two estimates disagree.
+        First to the states of subset simulation, then to weighted samples of all
+        mixtures so far, which are independent of each other, until the last ones are
+        good; those that are counted are drawn from the final one only. Half of the
+        motions are kept where the two estimates disagree.
         """
         mixture = self._fitted()
         every = np.zeros(0)
@@ -208,18 +233,28 @@ class _Search:
         """The mixture whose samples are counted."""
         event = np.concatenate([run.event for run in self.runs])
         effective = sum(run.effective for run in self.runs)
-        mixture = fitted_mixture(event, np.ones(len(event)), effective, self.rng)
-        best = 0.0
+        weights = np.concatenate(
+            [
+                np.full(len(run.event), run.estimate.probability / len(run.event))
+                for run in self.runs
+            ]
+        )
+        mixture = fitted_mixture(event, weights, effective, self.rng)
+        parts: list[tuple[np.ndarray, np.ndarray]] = []
+        worth = 0.0
         for _ in range(_REFITS):
             z, weights = self._weighted(mixture)
             seen = weights > 0.0
-            if seen.sum() < _FEW:
+            if not seen.any():
                 break
+            # a sample counts by what its mixture's samples are worth together
             effective = float(weights.sum() ** 2 / (weights**2).sum())
-            if effective < max(_FEW, 1.2 * best):
-                break
-            mixture = fitted_mixture(z[seen], weights[seen], effective, self.rng)
-            best = effective
+            parts.append((z[seen], weights[seen] * (effective / weights.sum())))
+            worth += effective
+            if worth >= _FEW:
+                every = np.concatenate([part[0] for part in parts])
+                shares = np.concatenate([part[1] for part in parts])
+                mixture = fitted_mixture(every, shares, worth, self.rng)
             if self.left < 3 * self.size or effective > _GOOD * self.size:
                 break
         return mixture

@@ -8,6 +8,7 @@ wrong, at the places that ``positions`` finds.
 from .loading import SceneFile as SceneFile
 from .loading import builtin_scenes as builtin_scenes
 from .loading import load_scene as load_scene
+from .loading import scene_text as scene_text
 from .problems import Problem as Problem
 from .problems import SceneFileError as SceneFileError
 from .tables import scene_schema as scene_schema

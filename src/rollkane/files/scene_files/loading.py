@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from os import PathLike
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from .changes import change
 from .checking import check_document
 from .positions import positions
 from .problems import Problem, Report, SceneFileError, nearest
@@ -51,7 +53,9 @@ class SceneFile:
     name: str
 
 
-def load_scene(source: str | PathLike[str]) -> SceneFile:
+def load_scene(
+    source: str | PathLike[str], changes: Mapping[str, str] | None = None
+) -> SceneFile:
     """Read a scene.
 
     Numbers take the precision that JAX is set to: double, if ``jax_enable_x64`` is on.
@@ -59,6 +63,8 @@ def load_scene(source: str | PathLike[str]) -> SceneFile:
     Args:
         source: Name of a built-in scene (see :func:`builtin_scenes`), or path of a
             TOML file (see :func:`scene_schema`).
+        changes: Values in the place of the file's, by path, as TOML writes them:
+            ``{"body.mass": "2.0"}``.
 
     Returns:
         The scene, ready for ``rollkane.simulate``.
@@ -70,6 +76,7 @@ def load_scene(source: str | PathLike[str]) -> SceneFile:
     file, name, text = _read(source)
     report = Report(file, text)
     document = _parsed(report)
+    change(report, changes or {})
     check_document(document, report)
     # needs JAX, which the listing of scenes and the schema should not wait for
     from .scene_building import build
@@ -108,6 +115,19 @@ def read_tables(source: str | PathLike[str]) -> Report:
     report = Report(file, text)
     _parsed(report)
     return report
+
+
+def scene_text(name: str) -> str:
+    """Text of a built-in scene's file.
+
+    Raises:
+        SceneFileError: there is no such scene.
+    """
+    files = _builtin_files()
+    if name not in files:
+        missing = FileNotFoundError(name)
+        raise SceneFileError([_unreadable(name, missing)])
+    return files[name].read_text(encoding="utf-8")
 
 
 def builtin_scenes() -> dict[str, str]:
