@@ -1,6 +1,6 @@
 """What befalls runs of studies, and what is left of them.
 
-    python benchmarks/faults.py [--out FOLDER] [--kills N] [--seed N]
+    python benchmarks/faults.py [--out FOLDER] [--kills N] [--seed N] [--only ...]
 
 A study of rolling ellipsoids is written to a store, undisturbed; then the same study is
 
@@ -251,6 +251,8 @@ def two_shards(folder: Path, whole: dict[str, str]) -> Row:
 
 
 def child(store: Path, shard: tuple[int, int] | None) -> int:
+    # which a shell's background processes ignore
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         run(store, **QUICK, shard=shard)
     except OSError as error:
@@ -262,21 +264,33 @@ def child(store: Path, shard: tuple[int, int] | None) -> int:
     return 0
 
 
-def everything(folder: Path, kills: int, seed: int) -> Iterator[Row | None]:
+def everything(
+    folder: Path, kills: int, seed: int
+) -> dict[str, Callable[[], Row | None]]:
     dice = random.Random(seed)
-    undisturbed = folder / "undisturbed.zarr"
-    run(undisturbed, **QUICK)
-    whole = tree(undisturbed)
-    yield killed(folder, whole, kills, dice)
-    yield interrupted(folder, whole)
-    for fault in damages():
-        yield damaged(fault, undisturbed, folder, kills, dice)
-    yield full_disk(folder, undisturbed)
-    yield two_shards(folder, whole)
-    slow = folder / "slow.zarr"
-    run(slow, 4096, 512, SLOW)
-    for kind in ("processes", "dask"):
-        yield worker_killed(kind, folder, tree(slow))
+
+    @functools.cache
+    def undisturbed() -> Path:
+        run(folder / "undisturbed.zarr", **QUICK)
+        return folder / "undisturbed.zarr"
+
+    @functools.cache
+    def slow() -> dict[str, str]:
+        run(folder / "slow.zarr", 4096, 512, SLOW)
+        return tree(folder / "slow.zarr")
+
+    def damage(fault: str) -> Callable[[], Row]:
+        return lambda: damaged(fault, undisturbed(), folder, kills, dice)
+
+    return {
+        "kill": lambda: killed(folder, tree(undisturbed()), kills, dice),
+        "interrupt": lambda: interrupted(folder, tree(undisturbed())),
+        **{fault: damage(fault) for fault in damages()},
+        "full": lambda: full_disk(folder, undisturbed()),
+        "shards": lambda: two_shards(folder, tree(undisturbed())),
+        "processes": lambda: worker_killed("processes", folder, slow()),
+        "dask": lambda: worker_killed("dask", folder, slow()),
+    }
 
 
 def main() -> int:
@@ -284,6 +298,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="+", help="some of them: kill, interrupt, ...")
     parser.add_argument("--child", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--shard", type=int, nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--full-disk", type=Path, nargs=2, help=argparse.SUPPRESS)
@@ -293,23 +308,30 @@ def main() -> int:
     if given.full_disk:
         on_full_disk(*given.full_disk)
         return 0
-    rows: list[Row] = []
+    rows: dict[str, Any] = {}
     print(f"{'':28}tried  noticed  identical       s  said")
     with tempfile.TemporaryDirectory() as folder:
-        for row in everything(Path(folder), given.kills, given.seed):
+        measures = everything(Path(folder), given.kills, given.seed)
+        for name in given.only or measures:
+            row = measures[name]()
             if row is not None:
-                rows.append(row)
+                rows[name] = row._asdict()
                 numbers = f"{row.tried:5}{row.noticed:9}{row.identical:11}"
-                print(
-                    f"{row.fault:28}{numbers}{row.seconds:8.1f}  {row.said}", flush=True
-                )
+                line = f"{row.fault:28}{numbers}{row.seconds:8.1f}  {row.said}"
+                print(line, flush=True)
     if given.out:
-        machine = {"machine": platform.machine(), "python": platform.python_version()}
-        machine |= {"jax": jax.__version__, "processors": os.cpu_count()}
-        known = machine | {"rows": [row._asdict() for row in rows]}
-        (given.out / "faults.json").write_text(json.dumps(known, indent=1) + "\n")
-    bad = [r for r in rows if not r.tried == r.noticed == r.identical]
-    return int(bool(bad))
+        written(given.out / "faults.json", rows)
+    counts = "tried", "noticed", "identical"
+    return int(any(len({row[n] for n in counts}) > 1 for row in rows.values()))
+
+
+def written(file: Path, rows: dict[str, Any]) -> None:
+    """With what was measured before of the other faults."""
+    known = json.loads(file.read_text())["rows"] if file.exists() else {}
+    machine = {"machine": platform.machine(), "python": platform.python_version()}
+    machine |= {"jax": jax.__version__, "processors": os.cpu_count()}
+    text = json.dumps(machine | {"rows": known | rows}, indent=1)
+    file.write_text(text + "\n")
 
 
 if __name__ == "__main__":
