@@ -128,8 +128,18 @@ def empty(file):
 
 
 @pytest.mark.parametrize("harm", [cut, change, empty, Path.unlink])
-@pytest.mark.parametrize("k", [0, 3, BLOCKS - 1])
-@pytest.mark.parametrize("where", [0, 1, "checksum"])
+@pytest.mark.parametrize(
+    ("k", "where"),
+    [
+        (3, 0),
+        (BLOCKS - 1, 1),
+        (0, "checksum"),
+        *(
+            pytest.param(k, where, marks=pytest.mark.slow)
+            for k, where in ((3, 1), (0, 0), (0, 1), (BLOCKS - 1, "checksum"))
+        ),
+    ],
+)
 def test_damage_is_found_told_and_mended(untouched, copied, harm, k, where):
     mark = copied / "checksum" / "c" / f"{k}" / "0"
     harm(mark if where == "checksum" else block_files(copied, k)[where])

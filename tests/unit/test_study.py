@@ -18,6 +18,7 @@ from rollkane.uncertainty.ready_observables import position
 from rollkane.uncertainty.store import differences
 from rollkane.uncertainty.unit_runs import UnitRuns
 from tests import small_studies as small
+from tests.quick import slow_but
 
 ONE = {"x": rk.Uniform(1.0, 2.0)}
 
@@ -97,7 +98,7 @@ HELD = {
 }
 
 
-@pytest.mark.parametrize("name", CLOSED)
+@pytest.mark.parametrize("name", slow_but(CLOSED.keys() - {"surface"}, CLOSED))
 def test_functions_that_close_over_a_draw_are_refused(name):
     with pytest.raises(rk.FieldError, match="closes over a drawn number") as refused:
         MadeMembers(made_of(CLOSED[name]), Draws(ONE))
@@ -118,7 +119,7 @@ def test_closures_that_only_observables_see_are_refused():
         MadeMembers(hidden, Draws(ONE)).check([energy])
 
 
-@pytest.mark.parametrize("name", HELD)
+@pytest.mark.parametrize("name", slow_but(["base", "potential"], HELD))
 def test_modules_that_hold_a_draw_give_the_right_members(name):
     """Leaf by leaf as each member by itself, which is not traced."""
     make = made_of(HELD[name])
@@ -211,6 +212,10 @@ def numbered(
     return rk.Study(make, drawn, [0.0, end], seen, modes=modes, ends=ends, **how)
 
 
+# in the same table of options, or of names, as another one is
+SELDOM = {"max_steps", "names", "ends", "low"}
+
+
 @pytest.fixture(scope="module")
 def known():
     return fingerprint(numbered())
@@ -234,15 +239,20 @@ CHANGED = {
 }
 
 
-@pytest.mark.parametrize("name", CHANGED)
+@pytest.mark.parametrize("name", slow_but(CHANGED.keys() - SELDOM, CHANGED))
 def test_every_number_changes_the_fingerprint(known, name):
     given, told = CHANGED[name]
     apart = set(differences(known, fingerprint(numbered(**given))))
     assert apart, "nothing is told"
     assert told <= apart, apart
+
+
+def test_nothing_changes_it_where_nothing_changes(known):
+    """Though every function is another object."""
     assert fingerprint(numbered()) == known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("one", "other"),
     [

@@ -185,6 +185,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         load_study(tmp_path / "none.toml")
 
 
+@pytest.mark.slow
 def test_a_study_begins_at_its_own_first_time(tmp_path):
     """On a turntable that speeds up, the start rolls with the base as it then is."""
     text = 'scene = "ellipsoid-on-six-axis-table"\ntimes = [0.3, 0.4]\n'
