@@ -182,13 +182,17 @@ class Store:
         Returns:
             How many files that were.
         """
-        left = [p for p in self.path.rglob("*") if self._is_leftover(p, blocks)]
+        # os.walk minds no file that another process takes away meanwhile
+        files = (
+            Path(at) / name for at, _, names in os.walk(self.path) for name in names
+        )
+        left = [p for p in files if self._is_leftover(p, blocks)]
         for path in left:
             path.unlink(missing_ok=True)
         return len(left)
 
     def _is_leftover(self, path: Path, blocks: Container[int] | None) -> bool:
-        if path.suffix != ".partial" or not path.is_file():
+        if path.suffix != ".partial":
             return False
         if blocks is None:
             return True
