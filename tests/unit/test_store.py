@@ -18,7 +18,8 @@ import zarr
 
 import rollkane as rk
 from rollkane.uncertainty import executors
-from rollkane.uncertainty.store import Store, StoreError
+from rollkane.uncertainty.store import Store, StoreError, create
+from rollkane.uncertainty.unit_runs import Column
 from tests import small_studies as small
 from tests.small_studies import compiled_once, equal
 
@@ -520,3 +521,23 @@ def test_a_study_killed_three_times_is_the_same_in_the_end(tmp_path):
     assert again.rates.members == 4096 - before.size
     rk.monte_carlo(small.rolling(), 4096, store=tmp_path / "anew.zarr", **how)
     assert tree(store) == tree(tmp_path / "anew.zarr")
+
+
+def test_stores_opened_by_threads_write_chunks_of_fill_values(tmp_path):
+    """Zarr's setting is that of all threads: the first to leave took it from others."""
+    columns = {f"x{i}": Column((), np.dtype(float), "observed") for i in range(12)}
+    create(tmp_path / "study", {}, columns, 64, 8, [0.0, 1.0])
+    missing = []
+
+    def write(block):
+        for _ in range(20):
+            store = Store(tmp_path / "study")
+            store.write(block, {name: np.full(8, np.nan) for name in columns})
+            missing.append(store.problem(block))
+
+    threads = [threading.Thread(target=write, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert missing == [None] * 80  # a thread that raises leaves some out

@@ -28,6 +28,7 @@ from .unit_runs import Column, Columns
 if TYPE_CHECKING:
     import xarray
 
+_OPENING = threading.Lock()
 _DIGEST = 32  # bytes
 _FORMAT = 1
 _UNITS = {"final_time": "s", "event time": "s"}
@@ -77,8 +78,9 @@ class Store:
             problem = f"{self.path} has format {version}, not {_FORMAT}"
             raise StoreError(f"{problem}: use the rollkane that wrote it")
         self._arrays: dict[str, Any] = {}
-        # a chunk of nothing but fill values must be there like any other
-        with zarr.config.set({"array.write_empty_chunks": True}):
+        # a chunk of nothing but fill values must be there like any other; the setting
+        # is of all threads, and the first to leave it would take it from the others
+        with _OPENING, zarr.config.set({"array.write_empty_chunks": True}):
             for name in (*kept, "checksum", "time"):
                 self._arrays[name] = self._array(name)
         self.size = int(self.about.get("ended", self.about["size"]))
