@@ -45,6 +45,7 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/isolator.py --out benchmarks/results
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 	$(BIN)/python benchmarks/contact_changes.py --out benchmarks/results
+	$(BIN)/python benchmarks/steady.py --out benchmarks/results
 
 bench-engine: $(VENV)/.bench
 	$(BIN)/python benchmarks/engine.py --out benchmarks/results
@@ -69,6 +70,8 @@ bench-sensitivity: $(VENV)/.bench .venv-salib/.installed
 		--disable-pip-version-check numpy $* && touch $@
 
 bench-monte-carlo: $(VENV)/.bench
+	$(BIN)/python benchmarks/monte_carlo.py --out benchmarks/results
+	$(BIN)/python benchmarks/convergence.py --out benchmarks/results
 	$(BIN)/python benchmarks/faults.py --out benchmarks/results
 
 accuracy: $(VENV)/.bench

@@ -1,6 +1,6 @@
 """What a study costs beside a bare ensemble: time, memory, workers.
 
-    python benchmarks/monte_carlo.py [--out FOLDER] [--size N] [--large N]
+    python benchmarks/monte_carlo.py [--out FOLDER] [--size N] [--large N] [--part PART]
 
 Two studies: rattlebacks of 20 s whose spin and mass are random (do they turn back a
 second time?), and rolling isolators under 20 s of all three components of the Kaikoura
@@ -48,7 +48,7 @@ jax.config.update("jax_enable_x64", True)
 
 TIMES = (0.0, 20.0)  # s
 WINDOW = (42.0, 62.0)  # s of the record: its strong part
-REPEATS = 2
+PARTS = "rates", "workers", "overhead", "memory"
 
 
 class Scaled(AbstractBaseMotion):
@@ -150,14 +150,14 @@ def bare(study, size):
     return seconds
 
 
-def rates(size):
+def rates(size, repeats):
     """Members a second of both, and what the studies are about."""
     for name, make in STUDIES.items():
         study = make()
         stored(study, 2048)
         bare(study, 2048)
         own, plain = [], []
-        for _ in range(REPEATS):
+        for _ in range(repeats):
             found = stored(study, size)
             own.append(found.rates.members / found.rates.seconds)
             plain.append(size / bare(study, size))
@@ -268,6 +268,8 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--size", type=int, default=100_000)
     parser.add_argument("--large", type=int, default=1_000_000)
+    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--part", choices=PARTS, action="append")
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.alone:
@@ -276,15 +278,20 @@ def main():
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python "
     machine += f"{platform.python_version()}, jax {jax.__version__}"
     print(f"{machine}, load {os.getloadavg()[0]:.1f}")
-    tables = {
-        "rates": list(rates(options.size)),
-        "workers": list(workers(options.size // 4)),
-        "overhead": list(overhead((1024, 4096, 16384, 65536))),
-        "memory": list(memory((options.size, options.large))),
+    sizes = options.size, options.large
+    parts = {
+        "rates": lambda: rates(options.size, options.repeats),
+        "workers": lambda: workers(options.size // 4),
+        "overhead": lambda: overhead((1024, 4096, 16384, 65536)),
+        "memory": lambda: memory(sizes),
     }
+    path = options.out / "monte_carlo.json"
     options.out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"machine": machine, "tables": tables}, indent=1)
-    (options.out / "monte_carlo.json").write_text(text + "\n")
+    tables = json.loads(path.read_text())["tables"] if path.exists() else {}
+    for part in options.part or parts:
+        tables[part] = list(parts[part]())
+        text = json.dumps({"machine": machine, "tables": tables}, indent=1)
+        path.write_text(text + "\n")
 
 
 if __name__ == "__main__":
