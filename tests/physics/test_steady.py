@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.files.scene_files import load_scene
 from rollkane.stability.independent_coordinates import independent_coordinates
 
 from ..quick import slow_but
@@ -272,6 +273,20 @@ def test_a_slope_has_no_steady_motion():
     guess = rk.place(scene, UPRIGHT, (0.0, 1.0, 0.0), ORIGIN)
     with pytest.raises(rk.FieldError, match=r"no steady motion near it; of 8 rates"):
         rk.steady_motion(scene, guess)
+
+
+def test_a_search_that_ends_in_rest_says_so():
+    """Chaplygin's ball: any spin leads to rest if nothing is held."""
+    file = load_scene("chaplygin-ball")
+    says = r"leads to rest, where all families of steady motions meet: the search slows"
+    with pytest.raises(rk.FieldError, match=says):
+        rk.steady_motion(file.scene, file.start)
+    # as the remedy says: about an upright principal axis, with its energy
+    start = rk.place(file.scene, UPRIGHT, (0.03, 0.05, 4.0), ORIGIN)
+    motion = rk.steady_motion(file.scene, start, ("energy",))
+    w = np.asarray(motion.state.angular_velocity)
+    # solved to 1e-10 of a step
+    np.testing.assert_allclose(w / np.linalg.norm(w), [0.0, 0.0, 1.0], atol=1e-9)
 
 
 def test_linear_models_of_a_ball():

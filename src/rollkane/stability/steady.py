@@ -16,6 +16,7 @@ from .energy_sign import EnergySign, energy_sign
 from .independent_coordinates import refuse_kind, refuse_rank
 from .kane_problem import kane_problem
 from .newton import (
+    SOLVED,
     Asked,
     Point,
     Solved,
@@ -30,10 +31,6 @@ from .quantities import held_quantities
 from .refusals import refuse_moving, refuse_overheld, refuse_unsolved
 from .spectrum import Spectrum, spectrum
 from .symmetries import symmetries
-
-# largest step that a solved equation may still ask for [1]: rounding of some 1e3
-# operations, and of curvatures up to 1e2
-SOLVED = 1e-10
 
 
 @dataclasses.dataclass(frozen=True)
