@@ -16,8 +16,9 @@ _MOVES = 1e-6
 # it where its equations are regular: one that small and not yet 1e-10 goes on slowly,
 # since they lose rank where it goes.
 _CREEPS = 1e-6
-# Of the rates of the guess: what is slower has come to rest.
-_RESTS = 1e-3
+# Of the rates of the guess: what is slower has come to rest, and what is faster has run
+# away, to where accelerations that are left count as small beside the speed.
+_RESTS, _AWAY = 1e-3, 10.0
 
 
 def refuse_moving(field: str, asked: Asked, point: Point) -> None:
@@ -86,8 +87,9 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
             )
             remedy = "give values nearer to those of the guess, or hold less"
             raise FieldError("steady_motion.hold", held, problem, remedy)
-    if found.error < _CREEPS:
-        _refuse_creeping(asked, state, found)
+    faster = _faster(asked, state, found.point)
+    if found.error < _CREEPS and faster < _AWAY:
+        _refuse_creeping(state, found, faster)
     problem = "has no steady motion near it; " + _of_rank(found, asked)
     remedy = (
         "begin nearer to one, or let the scene have its symmetries (a level plane, a "
@@ -96,16 +98,20 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
     raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
 
 
-def _refuse_creeping(asked: Asked, state: Any, found: Solved) -> NoReturn:
-    """Say that a search goes to where families of steady motions meet, without end."""
-    first = solved(asked, state, np.zeros(found.point.xi.size), 0.0, tries=0).point
+def _faster(asked: Asked, state: Any, point: Point) -> float:
+    """How much faster a search went than its guess, by the rates of the coordinates."""
+    first = solved(asked, state, np.zeros(point.xi.size), 0.0, tries=0).point
     size = sizes_of(asked, first)
     before, after = (
-        float(np.linalg.norm(point.local.rates / size))
-        for point in (first, found.point)
+        float(np.linalg.norm(one.local.rates / size)) for one in (first, point)
     )
+    return after / max(before, 1e-300)
+
+
+def _refuse_creeping(state: Any, found: Solved, faster: float) -> NoReturn:
+    """Say that a search goes to where families of steady motions meet, without end."""
     where = "a state at which its equations lose rank, where families meet"
-    if after < _RESTS * before:
+    if faster < _RESTS:
         where = "rest, where all families of steady motions meet"
     problem = (
         f"leads to {where}: the search slows down and does not settle (a step of "
