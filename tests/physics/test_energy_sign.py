@@ -130,7 +130,7 @@ def test_where_none_is_told():
     sign = told(scene, UPRIGHT, 5.0).energy_sign
     assert "does not vanish on the constraint manifold" in sign.reason
     assert not sign.definite
-    assert str(sign).startswith("none: its first variation")
+    assert str(sign).startswith("energy: none, its first variation")
     assert (sign.positive, sign.negative, sign.zero, sign.modes) == (0, 0, 0, ())
 
 

@@ -80,7 +80,7 @@ class EnergySign(NamedTuple):
     def __str__(self) -> str:
         """A line."""
         if self.reason:
-            return f"none: {self.reason}"
+            return f"energy: none, {self.reason}"
         less = "".join(
             f" {'-' if value > 0.0 else '+'} {abs(value):.6g} {name}"
             for name, value in self.momenta.items()
