@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.files.scene_files import load_scene
 from rollkane.stability.independent_coordinates import independent_coordinates
 
 from ..quick import slow_but
@@ -274,6 +275,20 @@ def test_a_slope_has_no_steady_motion():
         rk.steady_motion(scene, guess)
 
 
+def test_a_search_that_ends_in_rest_says_so():
+    """Chaplygin's ball: any spin leads to rest if nothing is held."""
+    file = load_scene("chaplygin-ball")
+    says = r"leads to rest, where all families of steady motions meet: the search slows"
+    with pytest.raises(rk.FieldError, match=says):
+        rk.steady_motion(file.scene, file.start)
+    # as the remedy says: about an upright principal axis, with its energy
+    start = rk.place(file.scene, UPRIGHT, (0.03, 0.05, 4.0), ORIGIN)
+    motion = rk.steady_motion(file.scene, start, ("energy",))
+    w = np.asarray(motion.state.angular_velocity)
+    # solved to 1e-10 of a step
+    np.testing.assert_allclose(w / np.linalg.norm(w), [0.0, 0.0, 1.0], atol=1e-9)
+
+
 def test_linear_models_of_a_ball():
     """Seven fifths of the mass to a force, and what the base's acceleration does."""
     a, m = 0.1, 2.0
@@ -296,6 +311,46 @@ def test_linear_models_of_a_ball():
     np.testing.assert_allclose(model.D[1], [0.0, 0.0, 0.0, -m], atol=1e-13)
     with pytest.raises(rk.FieldError, match="did you mean 'force x'"):
         rk.linearize(ball, still, ("forse x",))
+
+
+def test_forces_on_what_is_carried_are_inputs():
+    """A motor on each coordinate, against differences of runs' rates with that force.
+
+    Beside its own spring and damper; a pendulum and a mass on a rail in one ball.
+    """
+    push = 0.1  # rates are linear in a force: of any size, to rounding
+
+    def hanging(alpha):
+        zero = 0.0 * alpha[0]
+        return 0.05 * jnp.stack([jnp.sin(alpha[0]), zero, -jnp.cos(alpha[0])])[None]
+
+    def on_rail(alpha):
+        return jnp.stack([0.0 * alpha[0], alpha[0], 0.02 + 0.0 * alpha[0]])[None]
+
+    def scene_of(first, second):
+        swing = rk.PointMasses(
+            0.3,
+            hanging,
+            force=lambda t, a, a_dot: first - 0.01 * a_dot,
+            potential=lambda a: 0.4 * a[0] ** 2,
+        )
+        slide = rk.PointMasses(0.2, on_rail, force=lambda t, a, a_dot: second - 3.0 * a)
+        ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+        return rk.Scene(ball, supported=(swing, slide))
+
+    scene = scene_of(0.0, 0.0)
+    alphas = {"alpha": (0.3, 0.01), "alpha_dot": (0.2, -0.1)}
+    state = rk.place(scene, UPRIGHT, (0.3, 0.5, 0.7), ORIGIN, **alphas)
+    inputs = "force alpha[1]", "force alpha[0]", "torque x"
+    model = rk.linearize(scene, state, inputs)
+    for column, pushes in enumerate(((0.0, push), (push, 0.0))):
+        pushed = rk.linearize(scene_of(*pushes), state)
+        expected = (pushed.f - model.f) / push
+        # rates up to 1e2, of some 1e3 operations, over the push
+        np.testing.assert_allclose(model.B[:, column], expected, rtol=0, atol=1e-10)
+        assert np.max(np.abs(expected)) > 1.0
+    with pytest.raises(rk.FieldError, match=r"did you mean 'force alpha\[1\]'"):
+        rk.linearize(scene, state, ("force alpha[2]",))
 
 
 def test_a_loaded_ball_on_a_slope_folds_where_it_can_rest_no_more():

@@ -24,6 +24,10 @@ def test_a_steady_motion_is_told_and_written(tmp_path):
     assert known["held"]["speed"] == pytest.approx(1.5, rel=1e-12)  # to rounding
     assert known["held"]["tilt"] == pytest.approx(np.deg2rad(70.0), rel=1e-12)
     assert len(known["eigenvalues"]) + len(known["zeros"]) == 8
+    sign = known["energy_sign"]
+    assert sign["definite"] is False
+    assert "does not vanish" in sign["reason"]
+    assert f"sign of energy: none, {sign['reason']}" in ran.output
 
 
 def test_a_family_is_told_drawn_and_written(tmp_path):

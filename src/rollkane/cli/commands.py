@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from .. import __version__
+from .event_options import ended, event_lines, watched
 from .fit_command import fit
 from .output_files import check_targets, telling_of_files, write
 from .preparation import BAD_INPUT, STOPPED_EARLY, Positive, loaded, start_jax
@@ -64,6 +65,11 @@ for _command in (new, fit, steady, family, monte_carlo, show, doctor):
     type=click.Choice(["auto", "native", "diffrax"]),
     help="The loop in C, diffrax's, or the former where it can.",
 )
+@click.option(
+    "--stop",
+    multiple=True,
+    help='End the run at an event: "lift-off", or one of SCENE by its name.',
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def simulate(
@@ -80,12 +86,14 @@ def simulate(
     outputs: int | None,
     max_steps: int,
     method: str | None,
+    stop: tuple[str, ...],
     quiet: bool,
 ) -> None:
     """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
 
-    Exit code 0: done; 2: bad input, nothing written; 3: the motion could not be
-    followed to its end, what was reached is written.
+    Exit code 0: done, or ended by an event that was to end it; 2: bad input, nothing
+    written; 3: the motion could not be followed to its end, what was reached is
+    written.
     """
     asked = {"out": out, "plot": plot, "path": path, "view": view}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
@@ -109,6 +117,7 @@ def simulate(
             "modes": file.modes,
             "method": method or file.method,
             "second_contact": file.second_contact,
+            **watched(file, stop),
         },
         quiet,
     )
@@ -116,12 +125,12 @@ def simulate(
         from ..pictures.summary import summary
 
         click.echo(file.title)
-        for line in (*summary(result), timing):
+        for line in (*summary(result), *event_lines(result), timing):
             click.echo(line)
     for name, target in targets.items():
         if write(name, result, target, file.title) and not quiet:
             click.echo(f"  wrote {target}")
-    if int(result.code):
+    if not ended(result):
         click.echo(
             f"error: stopped at t = {float(result.final_time):.6g} s of "
             f"{float(times[-1]):.6g} s: {result.reason}",

@@ -226,7 +226,12 @@ def _motion_json(motion: Any) -> dict[str, Any]:
         "zeros": {name: _pair(v) for name, v in motion.zeros.items()},
         "stable": motion.stable,
         "family": motion.family,
+        "energy_sign": _sign_json(motion.energy_sign),
     }
+
+
+def _sign_json(sign: Any) -> dict[str, Any]:
+    return sign._asdict() | {"definite": sign.definite}
 
 
 def _branch_json(branch: Any, motion: Any) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from ..validation.checks import FieldError
 from .branch import Branch, BranchPoint, Critical
 from .continuation import made, refuse_span, step_from, tangents, walked
 from .critical_points import critical_on
-from .newton import Asked, solved
+from .newton import SOLVED, Asked, solved
 from .quantities import quantity
 from .refusals import refuse_moving
-from .steady import SOLVED, SteadyMotion
+from .steady import SteadyMotion
 
 
 def steady_family(
@@ -92,9 +92,13 @@ def switch_branch(
     starts: list[BranchPoint] = []
     for sign in (1.0, -1.0):
         turned = dataclasses.replace(here, tangent=sign * way)
+        # of the branch's unit: off the crossing the direction is right to first order,
+        # so that a step misses by its square, 1e-4, in reach of Newton's method; where
+        # the branch curves at once, a tenth of it
         for far in (1e-2, 1e-3):
             off = step_from(asked, turned, far)
             moved = made(asked, off.point, turned.tangent)
+            # not back on the known branch, whose tangent turns little in such a step
             if off.error < SOLVED and abs(moved.tangent @ known) < 0.9:
                 starts.append(moved)
                 break

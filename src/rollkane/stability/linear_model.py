@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..dynamics.loads import AbstractLoad, Force, Gravity, Torque
 from ..dynamics.scene import Scene
+from ..dynamics.supported import AbstractSupported, Carried
 from ..identification import paths
 from ..validation.checks import FieldError
 from .independent_coordinates import least_squares
@@ -63,8 +64,9 @@ def linearize(
         state: A state, in axes that the base carries along; or a ``SteadyMotion``, in
             the frame that moves with it.
         inputs: Names of r: "base acceleration x" [m/s^2], "force y" at the mass centre
-            [N], "torque z" [N m], all on fixed axes; or a number of the scene by its
-            path, such as a spring's force ("supported[0].potential.parameters.k").
+            [N], "torque z" [N m], all on fixed axes; "force alpha[0]", of a motor on a
+            coordinate of what is carried [J per its unit]; or a number of the scene by
+            its path, such as a spring's force ("supported[0].potential.parameters.k").
         outputs: Names of y, as of what ``steady_motion`` holds; coordinates of the
             model by their names; ``{"name": function}`` of ``function(scene, t,
             state)``.
@@ -114,7 +116,8 @@ def _plain(name: str, rows: Mapping[str, Any]) -> str:
 def _input(problem: AbstractProblem, name: str) -> tuple[str, paths.Keys]:
     """An input by its name: one that acts on the body, or the path of a number."""
     of_scene = isinstance(problem.model, Scene)
-    if of_scene and name in INPUTS:
+    acting = (*INPUTS, *_motors(problem.model)) if of_scene else ()
+    if name in acting:
         return name, ()
     try:
         keys = paths.keys_of(name)
@@ -123,20 +126,73 @@ def _input(problem: AbstractProblem, name: str) -> tuple[str, paths.Keys]:
         keys, value = (), ()
     if paths.is_floating(np.asarray(value)) and not np.shape(value):
         return name, keys
-    known = [*(INPUTS if of_scene else ()), *paths.floats(problem.model)]
+    known = [*acting, *paths.floats(problem.model)]
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     meant = f"did you mean {near[0]!r}? " if near else ""
     remedy = f"{meant}name one of: {', '.join(known)} (with an index)"
     raise FieldError("linearize.inputs", name, "is no input", remedy)
 
 
+def _motors(scene: Scene) -> tuple[str, ...]:
+    """Names of the forces on the coordinates of what is carried."""
+    return tuple(f"force alpha[{k}]" for k in range(scene.coordinate_count))
+
+
+class _Pushed(AbstractSupported):
+    """Something carried, with constant forces on its coordinates beside its own."""
+
+    count: int = eqx.field(static=True)
+    own: AbstractSupported
+    push: Float[Array, " n"]
+
+    def carried(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
+        """Its masses at one instant."""
+        return self.own.carried(t, alpha, alpha_dot)
+
+    def generalized_force(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Float[Array, " n"]:
+        """Its own and the constant ones [J per unit of alpha]."""
+        own = self.own.generalized_force(t, alpha, alpha_dot)
+        return self.push if own is None else own + self.push
+
+    def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
+        """Energy of its springs [J]."""
+        return self.own.potential_energy(alpha)
+
+    @property
+    def does_work(self) -> bool:
+        """True: forces do."""
+        return True
+
+
+def _pushed(scene: Scene, push: Float[Array, " n"]) -> Scene:
+    """A scene with forces on the coordinates of what is carried [J per their unit]."""
+    parts: list[AbstractSupported] = []
+    first = 0
+    for part in scene.supported:
+        last = first + part.count
+        parts.append(
+            _Pushed(part.count, part, push[first:last]) if part.count else part
+        )
+        first = last
+    return eqx.tree_at(lambda s: s.supported, scene, tuple(parts))
+
+
 def _driven(model: Any, inputs: _Inputs, r: Float[Array, " r"]) -> Any:
     """The scene or system with inputs r added."""
     loads: list[AbstractLoad] = []
+    motors = _motors(model) if isinstance(model, Scene) else ()
+    push = jnp.zeros(len(motors), r.dtype)
     for k, (name, keys) in enumerate(inputs):
         if keys:
             value = jnp.asarray(paths.found(model, keys)) + r[k]
             model = paths.replaced(model, keys, value)
+            continue
+        if name in motors:
+            push = push.at[motors.index(name)].add(r[k])
             continue
         act, axis = name.rsplit(" ", 1)
         vector = jnp.eye(3, dtype=r.dtype)["xyz".index(axis)] * r[k]
@@ -149,6 +205,8 @@ def _driven(model: Any, inputs: _Inputs, r: Float[Array, " r"]) -> Any:
     if loads:
         whole = (*model.loads, *loads)
         model = eqx.tree_at(lambda s: s.loads, model, whole)
+    if any(name in motors for name, _ in inputs):
+        model = _pushed(model, push)
     return model
 
 

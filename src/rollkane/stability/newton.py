@@ -20,8 +20,21 @@ from .surface_motions import echelon, null_space
 # order one; directions that count are seldom below 1e-4.
 SMALL = 1e-8
 _TRIES = 60
-# of steps that equations still ask for: where they settle, and where they may [1]
-ROUNDING, _NEAR = 1e-14, 1e-10
+# What the shortest row of the rates counts as, beside the longest: rounding of some 10
+# operations, 1e-15 of the longest row, is then no direction (1e-8) in any. With ten
+# times as much a search on a slope (1 in 9) ran away to a spin of 1e11 rad/s, beside
+# which what was left counted as solved.
+_SHORTEST = 1e-6
+# Least and largest damping, beside squares of singular values up to some tens. Less
+# does not change a step that counts, of a value above 1e-2, by 1% of it; with more a
+# step is a millionth of what is asked for, and gets nowhere.
+_LEAST, _MOST = 1e-6, 1e6
+# Of steps that equations still ask for [1]: where they settle, some 50 roundings of
+# numbers of order one.
+ROUNDING = 1e-14
+# The largest one of a solution: rounding of some 1e3 operations is 1e-13, and
+# curvatures and ratios of coordinates' sizes up to 1e3 multiply it.
+SOLVED = 1e-10
 
 
 class Asked(NamedTuple):
@@ -147,9 +160,8 @@ def equations(asked: Asked, point: Point) -> tuple[np.ndarray, np.ndarray]:
     rows[:, :n] *= size[None]
     rows[:, n:-1] *= size.max()
     rows[:, -1] *= asked.unit
-    # a row that is small beside the rates' own rounding says nothing
     length = np.linalg.norm(rows, axis=1)
-    length[:n] = np.maximum(length[:n], 1e-6 * length[:n].max(initial=0.0))
+    length[:n] = np.maximum(length[:n], _SHORTEST * length[:n].max(initial=0.0))
     length = np.where(length > 0.0, length, 1.0)
     return rows / length[:, None], right / length
 
@@ -206,13 +218,13 @@ def solved(
             settles = size > 0.5 * error
             point, done, error = trial, done + x, size
             matrix, right = there
-            damping = 0.0 if damping < 1e-6 else 0.1 * damping
-            if error < ROUNDING or (settles and error < _NEAR):
+            damping = 0.0 if damping < _LEAST else 0.1 * damping
+            if error < ROUNDING or (settles and error < SOLVED):
                 break
             continue
-        if error < _NEAR or damping > 1e6:
+        if error < SOLVED or damping > _MOST:
             break  # rounding, or nothing helps
-        damping = 1e-6 if damping == 0.0 else 10.0 * damping
+        damping = _LEAST if damping == 0.0 else 10.0 * damping
     return Solved(point, error, matrix)
 
 

@@ -25,8 +25,14 @@ from .symmetries import symmetries
 
 _FIELD = "normal_mode_motion"
 AMPLITUDE = "amplitude"
-# Of the largest rate: what differences of eigenvalues and vectors count as none.
+# Of the largest rate: what differences of eigenvalues and vectors count as none. A
+# double eigenvalue is known to the root of its rounding, 1e-13: to 3e-7.
 _LOOSE = 1e-6
+# Of the largest rate: slower is no vibration. Zeros of the symmetries and of steady
+# drifts come in chains of two or three, known to the cube root of the rounding: 5e-5.
+_SLOWEST = 1e-4
+# [1/s]: what the fastest rate counts as where nothing moves by itself.
+_STILL = 1e-6
 # Rates of a rest over those that gravity would make in the time of a vibration.
 _RESTS = 1e-8
 # Where vibrations begin [rad] or [m].
@@ -86,9 +92,9 @@ def normal_modes(scene: Scene, rest: State) -> NormalModes:
     around = independent_coordinates(scene, rest)
     rates, slopes = (np.asarray(x) for x in _linear(around))
     fastest = float(np.sqrt(np.abs(np.linalg.eigvals(slopes @ slopes)).max()))
-    size = scales(around, 2.0 * np.pi / max(fastest, 1e-6))
+    size = scales(around, 2.0 * np.pi / max(fastest, _STILL))
     largest = float(np.abs(rates / size).max())
-    if not largest <= _RESTS * max(fastest, 1e-6):
+    if not largest <= _RESTS * max(fastest, _STILL):
         problem = f"does not stay at rest: its rates are {largest:.2g} [1/s]"
         remedy = "find the rest with rollkane.steady_motion, and give its state"
         raise FieldError(f"{_FIELD}.rest", "...", problem, remedy)
@@ -118,7 +124,9 @@ def _vibrations(
     """Frequencies and shapes of a linear model in coordinates of like size."""
     values, vectors = cast(_Pair, np.linalg.eig(like))
     fastest = np.abs(values).max()
-    swings = (values.imag > 1e-4 * fastest) & (np.abs(values.real) < _LOOSE * fastest)
+    swings = (values.imag > _SLOWEST * fastest) & (
+        np.abs(values.real) < _LOOSE * fastest
+    )
     places = np.array(np.nonzero(swings)[0])
     places = places[np.argsort(values.imag[places], kind="stable")]
     fixed = {"turn", "contact on base", "contact on body", "alpha"}

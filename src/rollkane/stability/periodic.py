@@ -17,6 +17,7 @@ from ..validation.checks import FieldError, is_traced, positive, real, whole
 from .closing_newton import PERIOD, Held, Solved, coordinates_of, scales, solve
 from .floquet import Floquet, floquet
 from .independent_coordinates import independent_coordinates
+from .newton import SMALL
 from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
 from .shooting import Nodes, Shooting, again, closing, measured, offset, segment
@@ -29,6 +30,10 @@ _RTOL = 1e-12
 _ERRORS = 1e4
 # A motion that goes less far in a period, in changes of like size, is a steady one.
 _STEADY = 1e-7
+# Of the rates: by how much they may differ after a period of what drives the scene.
+# Both are taken at one state, so that no run's error is in it, only rounding (1e-13)
+# and the last digits of a period that is given to nine.
+_REPEATS = 1e-8
 # Error of a monodromy, over its size, with which no multiplier would be told.
 _WRONG = 1e-4
 
@@ -337,7 +342,7 @@ def _displaced(
         if not now < left:
             break
         left = now
-        steps = steps + np.linalg.lstsq(slopes, short, rcond=1e-8)[0]
+        steps = steps + np.linalg.lstsq(slopes, short, rcond=SMALL)[0]
     return steps, left
 
 
@@ -346,7 +351,7 @@ def _check_repeats(shot: Shooting, start: State, period: float) -> None:
     first = shot.time
     check_span(shot.scene, np.asarray([first, first + 2.0 * period]))
     times = jnp.asarray(first + np.linspace(0.0, period, 9))
-    run = simulate(shot.scene, start, times, rtol=1e-6)
+    run = simulate(shot.scene, start, times, rtol=1e-6)  # any states will do
     here, there = (
         np.asarray(again(shot.scene, times, run.state, jnp.asarray(shift)))
         for shift in (0.0, period)
@@ -354,7 +359,7 @@ def _check_repeats(shot: Shooting, start: State, period: float) -> None:
     good = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
     size = np.abs(here[good]).max(initial=1.0)
     change = np.abs(there - here)[good].max(initial=0.0)
-    if change > 1e-8 * size:
+    if change > _REPEATS * size:
         problem = (
             "is not one of the scene, which depends on time: its rates or its base's "
             f"rotation differ by {change:.2g} after it"

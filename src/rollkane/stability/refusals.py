@@ -6,10 +6,19 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..validation.checks import FieldError
-from .newton import SMALL, Asked, Point, Solved, followed, sizes_of, solved
+from .newton import SMALL, SOLVED, Asked, Point, Solved, followed, sizes_of, solved
 
-# of a quantity's change along a symmetry, beside its largest change: not rounding
+# Of a quantity's change along a symmetry, beside its largest change. The symmetry's own
+# numbers are known to 1e-9 (what it was found by), slopes better; what a symmetry does
+# change, it changes by its own size.
 _MOVES = 1e-6
+# A step [1] that equations still ask for where a search ends. Newton's method squares
+# it where its equations are regular: one that small and not yet 1e-10 goes on slowly,
+# since they lose rank where it goes.
+_CREEPS = 1e-6
+# Of the rates of the guess: what is slower has come to rest, and what is faster has run
+# away, to where accelerations that are left count as small beside the speed.
+_RESTS, _AWAY = 1e-3, 10.0
 
 
 def refuse_moving(field: str, asked: Asked, point: Point) -> None:
@@ -40,6 +49,8 @@ def refuse_overheld(asked: Asked, point: Point, family: np.ndarray) -> None:
     length = np.linalg.norm(rows * size[None], axis=1)
     rows = rows / np.where(length > 0.0, length, 1.0)[:, None]
     values = np.linalg.svd(rows @ family, compute_uv=False) if family.size else ()
+    # of rows and directions of unit length: of a motion solved to 1e-10, where singular
+    # values that count are 1e-4 or more, the family's directions are known to 1e-6
     rank = int(np.sum(np.asarray(values) > 1e-6))
     if rank < q:
         _refuse_holds(asked, point, family, rank)
@@ -65,7 +76,7 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
     if asked.quantities:
         free = asked._replace(quantities=(), values=np.zeros(0))
         near = solved(free, state, found.point.xi, 0.0)
-        if near.error < 1e-10:
+        if near.error < SOLVED:
             held = {
                 q.name: float(v)
                 for q, v in zip(asked.quantities, asked.values, strict=True)
@@ -76,10 +87,40 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
             )
             remedy = "give values nearer to those of the guess, or hold less"
             raise FieldError("steady_motion.hold", held, problem, remedy)
+    faster = _faster(asked, state, found.point)
+    if found.error < _CREEPS and faster < _AWAY:
+        _refuse_creeping(state, found, faster)
     problem = "has no steady motion near it; " + _of_rank(found, asked)
     remedy = (
         "begin nearer to one, or let the scene have its symmetries (a level plane, a "
         "body of revolution)"
+    )
+    raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
+
+
+def _faster(asked: Asked, state: Any, point: Point) -> float:
+    """How much faster a search went than its guess, by the rates of the coordinates."""
+    first = solved(asked, state, np.zeros(point.xi.size), 0.0, tries=0).point
+    size = sizes_of(asked, first)
+    before, after = (
+        float(np.linalg.norm(one.local.rates / size)) for one in (first, point)
+    )
+    return after / max(before, 1e-300)
+
+
+def _refuse_creeping(state: Any, found: Solved, faster: float) -> NoReturn:
+    """Say that a search goes to where families of steady motions meet, without end."""
+    where = "a state at which its equations lose rank, where families meet"
+    if faster < _RESTS:
+        where = "rest, where all families of steady motions meet"
+    problem = (
+        f"leads to {where}: the search slows down and does not settle (a step of "
+        f"{found.error:.2g} is left)"
+    )
+    remedy = (
+        "begin nearer to the steady motion that is meant (a balanced body: a spin "
+        "about a principal axis that stands upright), and hold what keeps it going, "
+        'such as "energy" or a spin'
     )
     raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
 
@@ -106,6 +147,6 @@ def told(direction: np.ndarray, names: Sequence[str]) -> str:
     parts = [
         f"{value:+.3g} {name}"
         for value, name in zip(direction, names, strict=True)
-        if abs(value) > 1e-3 * size
+        if abs(value) > 1e-3 * size  # as many digits as are told
     ]
     return " ".join(parts)

@@ -11,6 +11,10 @@ from .newton import Directions
 # Of the norm of a linear model: what is less is zero. Solved to rounding, a model of
 # some 1e3 operations is known to 1e-13 of it.
 _ZERO = 1e-11
+# Of columns and rows of unit length: less than that apart they are one direction. Those
+# of the group and of a family are known to 1e-8 (the rank that they were found by), and
+# what tells a family's members apart does so by 1e-4 or more.
+_APART = 1e-6
 
 
 class Spectrum(NamedTuple):
@@ -181,7 +185,7 @@ def _independent(columns: np.ndarray) -> list[int]:
     chosen: list[int] = []
     for j in range(columns.shape[1]):
         tried = np.linalg.svd(columns[:, [*chosen, j]], compute_uv=False)
-        if tried[-1] > 1e-6:
+        if tried[-1] > _APART:
             chosen.append(j)
     return chosen[: columns.shape[0]]
 
@@ -196,10 +200,10 @@ def _labelled(
     for name, slope in labels:
         row = slope @ family
         length = float(np.linalg.norm(row))
-        if len(names) == d or length <= 1e-6 * float(np.linalg.norm(slope)):
+        if len(names) == d or length <= _APART * float(np.linalg.norm(slope)):
             continue
         tried = np.concatenate([seen, row[None] / length])
-        if np.linalg.svd(tried, compute_uv=False)[-1] > 1e-6:
+        if np.linalg.svd(tried, compute_uv=False)[-1] > _APART:
             names.append(name)
             seen = tried
     return names + [f"direction {k + 1}" for k in range(len(names), d)]

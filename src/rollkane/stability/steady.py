@@ -1,6 +1,7 @@
 """Steady motions: relative equilibria of a scene, and whether they are stable."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
@@ -11,9 +12,11 @@ from jaxtyping import Complex, Float
 from ..dynamics.scene import Scene
 from ..kane.system import KaneSystem
 from ..validation.checks import FieldError, is_traced
+from .energy_sign import EnergySign, energy_sign
 from .independent_coordinates import refuse_kind, refuse_rank
 from .kane_problem import kane_problem
 from .newton import (
+    SOLVED,
     Asked,
     Point,
     Solved,
@@ -28,10 +31,6 @@ from .quantities import held_quantities
 from .refusals import refuse_moving, refuse_overheld, refuse_unsolved
 from .spectrum import Spectrum, spectrum
 from .symmetries import symmetries
-
-# largest step that a solved equation may still ask for [1]: rounding of some 1e3
-# operations, and of curvatures up to 1e2
-SOLVED = 1e-10
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,6 +78,14 @@ class SteadyMotion:
             return 0.0
         return float(np.max(np.real(self.eigenvalues)))
 
+    @functools.cached_property
+    def energy_sign(self) -> EnergySign:
+        """Of the kept energy's second variation, (10.6): definite is stable for good.
+
+        Computed when it is first asked for.
+        """
+        return energy_sign(self.asked, self.solution, self.eigenvalues, self.errors)
+
     def at(self, time: Any) -> Any:
         """The state at another time [s], exactly: moved by the group, with the base."""
         t = jnp.asarray(time, jnp.result_type(float))
@@ -94,6 +101,7 @@ class SteadyMotion:
         rows += [
             f"  zero of {name:<20} {_complex(v):>15}" for name, v in self.zeros.items()
         ]
+        rows.append(f"  sign of {self.energy_sign}")
         return "\n".join(rows)
 
 

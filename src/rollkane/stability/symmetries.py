@@ -213,19 +213,26 @@ def _candidates(
     return Action(**made)
 
 
+# Of a null vector of unit length: the part of time that counts. Null vectors are known
+# to 1e-9 (``LOOSE``); with a drift of w [rad/s] or [m/s] that part is 1 / w.
+_IN_TIME = 1e-6
+# What null vectors are known to: less is zero in drifts and in axes.
+_EXACT = 1e-9
+
+
 def _parted(null: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Symmetries without time, and what goes with a unit of time."""
     with_time = null[:, -1:]
     if not null.shape[0]:
         return null[:, :-1], None
     left, values, _ = np.linalg.svd(with_time)
-    if values[0] < 1e-6:
+    if values[0] < _IN_TIME:
         return null[:, :-1], None
     lead, free = left[:, 0] @ null, left[:, 1:].T @ null
     drift = (lead / lead[-1])[:-1]
     if free.shape[0]:  # as little of the symmetries in it as there can be
         drift = drift - np.linalg.pinv(free[:, :-1]) @ (free[:, :-1] @ drift)
-    drift[np.abs(drift) < 1e-9 * max(1.0, np.abs(drift).max(initial=0.0))] = 0.0
+    drift[np.abs(drift) < _EXACT * max(1.0, np.abs(drift).max(initial=0.0))] = 0.0
     return free[:, :-1], drift
 
 
@@ -243,7 +250,7 @@ def _twist_name(twist: np.ndarray, turning: str) -> str:
     if not w.any():
         return f"translation {_axis(v)}"
     pitch = float(v @ w) / float(w @ w)
-    small = 1e-9 * max(float(np.abs(v).max()), 1e-300)
+    small = _EXACT * max(float(np.abs(v).max()), 1e-300)
     if abs(pitch) > small and np.any(v):
         return f"screw about {_axis(w)}"
     return f"{turning} about {_axis(w)}"
@@ -252,7 +259,7 @@ def _twist_name(twist: np.ndarray, turning: str) -> str:
 def _axis(vector: np.ndarray) -> str:
     unit = vector / np.linalg.norm(vector)
     for name, axis in zip("xyz", np.eye(3), strict=True):
-        if np.abs(unit - axis).max() < 1e-9:
+        if np.abs(unit - axis).max() < _EXACT:
             return name
     return "({:.6g}, {:.6g}, {:.6g})".format(*unit)
 

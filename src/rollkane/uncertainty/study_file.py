@@ -9,10 +9,11 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..dynamics.events import Event
 from ..dynamics.placement import place
+from ..dynamics.ready_observables import READY
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
+from ..files.scene_files.event_building import events_of
 from ..files.scene_files.loading import SceneFile, load_scene, read_tables
 from ..files.scene_files.problems import Report, SceneFileError, suggestion
 from ..geometry.rotations import quaternion_of
@@ -21,14 +22,12 @@ from ..identification import paths
 from ..validation.checks import FieldError
 from .checked_parts import checked, checked_parts
 from .distribution_tables import distribution_of
-from .ready_observables import READY
 from .study import Study
 
 _KEYS = (
     *("title", "scene", "times", "size", "seed", "sampling", "block"),
     *("vary", "observe", "series", "events"),
 )
-_EVENT_KEYS = ("name", "of", "level", "direction", "stop")
 
 
 class StudyFile(NamedTuple):
@@ -79,7 +78,7 @@ class _Checked:
         self.file = self._scene(folder)
         self.varied = self._vary()
         self.observe, self.series = self._named("observe"), self._named("series")
-        self.events = self._events()
+        self.events = events_of(report)
         self.size = self._whole("size", 1)
         self.block = self._whole("block", 1)
         self.seed = self._whole("seed", 0) or 0
@@ -101,7 +100,7 @@ class _Checked:
                 times,
                 observe=self.observe,
                 series=self.series,
-                events=self.events,
+                events=self._all_events(file),
                 modes=file.modes,
                 rtol=file.rtol,
                 atol=file.atol,
@@ -117,6 +116,11 @@ class _Checked:
         title = document.get("title") or file.title
         how = self.size, self.seed, self.sampling, self.block
         return StudyFile(study, title, *how)
+
+    def _all_events(self, file: SceneFile) -> tuple[Any, ...]:
+        """Those of the scene's file, but for names that it has itself, and its own."""
+        own = [event.name for event in self.events]
+        return (*(e for e in file.events if e.name not in own), *self.events)
 
     def _scene(self, folder: Path) -> SceneFile | None:
         given: Any = self._document.get("scene")
@@ -201,52 +205,6 @@ class _Checked:
             found[f"{name} series" if field == "series" else name] = READY[name]
         return found
 
-    def _events(self) -> list[Event]:
-        given: Any = self._document.get("events", [])
-        found: list[Event] = []
-        if not isinstance(given, list):
-            remedy = "write [[events]] tables"
-            self._report.add(("events",), "must be a list of tables", remedy)
-            return found
-        for i, table in enumerate(cast("list[Any]", given)):
-            where = "events", i
-            if not isinstance(table, dict):
-                self._report.add(where, "must be a table", "write [[events]]")
-                continue
-            event = self._event(where, cast("dict[str, Any]", table))
-            found += [] if event is None else [event]
-        return found
-
-    def _event(self, where: tuple[str, int], table: dict[str, Any]) -> Event | None:
-        self._unknown(where, table, _EVENT_KEYS)
-        of, stop = table.get("of"), table.get("stop", False)
-        name = table.get("name", of)
-        if not isinstance(stop, bool):
-            self._report.add((*where, "stop"), "must be true or false", "write true")
-            return None
-        if not isinstance(name, str):
-            self._report.add((*where, "name"), "must be a text", "write a name")
-            return None
-        if of == "lift-off":
-            return Event.lift_off(stop, name)
-        scalars = [name for name in READY if name not in _VECTORS]
-        if of not in scalars:
-            remedy = f'use "lift-off" or one of {", ".join(scalars)}'
-            self._report.add((*where, "of"), "is no number to look for", remedy)
-            return None
-        level = table.get("level", 0.0)
-        if not isinstance(level, (int, float)) or isinstance(level, bool):
-            remedy = "give the value that is crossed"
-            self._report.add((*where, "level"), "must be a number", remedy)
-            return None
-        crossing = _Crossing(READY[of], float(level))
-        direction = table.get("direction", 0)
-        try:
-            return Event(crossing, direction, stop, name)
-        except FieldError as error:
-            self._report.add((*where, "direction"), error.problem, error.remedy)
-            return None
-
     def _unknown(self, where: Any, table: Any, known: tuple[str, ...]) -> None:
         for key in table:
             if key not in known:
@@ -268,19 +226,6 @@ class _Checked:
             remedy = f"use one of {', '.join(known)}"
             self._report.add((name,), "is not known", remedy)
         return value
-
-
-_VECTORS = ("position", "orientation", "angular_velocity", "contact_on_base", "outward")
-
-
-class _Crossing(eqx.Module):
-    """An observable less the level that is looked for."""
-
-    of: Callable[..., Any] = eqx.field(static=True)
-    level: float = eqx.field(static=True)
-
-    def __call__(self, scene: Any, t: Any, state: Any) -> Any:
-        return self.of(scene, t, state) - self.level
 
 
 class _Model(eqx.Module):

@@ -33,6 +33,7 @@ class SceneFile:
         atol: Absolute tolerance of a step [unit of the state], or None.
         method: Which loop makes the run, as ``rollkane.simulate`` takes it.
         second_contact: Whether the run ends at a second contact with the base.
+        events: ``rollkane.Event`` values that a run looks for.
         title: A line of text; the name where the file has none.
         description: Text; may be empty.
         axes: How the body axes lie, as text; may be empty.
@@ -47,6 +48,7 @@ class SceneFile:
     atol: float | None
     method: str
     second_contact: bool
+    events: tuple[Any, ...]
     title: str
     description: str
     axes: str
@@ -79,9 +81,10 @@ def load_scene(
     change(report, changes or {})
     check_document(document, report)
     # needs JAX, which the listing of scenes and the schema should not wait for
+    from .event_building import events_of
     from .scene_building import build
 
-    made = build(report)
+    made, events = build(report), events_of(report)
     report.raise_if_any()
     assert made is not None  # whatever could not be made has been noted
     scene, start, modes = made
@@ -95,6 +98,7 @@ def load_scene(
         atol=run.atol,
         method=run.method,
         second_contact=run.second_contact,
+        events=events,
         title=document.get("title") or name,
         description=document.get("description", ""),
         axes=document.get("axes", ""),

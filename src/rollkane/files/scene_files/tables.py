@@ -135,6 +135,31 @@ class RunTable(Table):
     )
 
 
+LIFT_OFF = "lift-off"
+
+
+class EventTable(Table):
+    """What a run looks for: where a number crosses a level."""
+
+    of: Literal[
+        "lift-off", "spin", "tilt", "energy", "normal_force", "friction_ratio"
+    ] = Field(
+        description='"lift-off", where the normal force falls through zero, or a '
+        'number: "spin" about the vertical [rad/s], "tilt" of the body\'s z axis '
+        '[rad], "energy" [J], "normal_force" [N], "friction_ratio" [1]'
+    )
+    level: float = Field(
+        default=0.0, description="the value that is crossed, in the number's unit"
+    )
+    direction: Literal[-1, 0, 1] = Field(
+        default=0, description="1 to look where it rises, -1 where it falls, 0 for both"
+    )
+    stop: bool = Field(default=False, description="true to end the run there")
+    name: str | None = Field(
+        default=None, description="a word or two; left out, what it is of"
+    )
+
+
 class SceneTable(Table):
     """A scene of rollkane: a body that rolls on a base. SI units, right-handed axes."""
 
@@ -160,6 +185,9 @@ class SceneTable(Table):
     modes: Annotated[Table, OneOf((ModesTable,))] | None = Field(
         default=None,
         description="a table [modes]; left out, the contact never changes",
+    )
+    events: list[EventTable] | None = Field(
+        default=None, description="tables [[events]] of what a run looks for"
     )
     start: StartTable = Field(description="a table [start]")
     run: RunTable = Field(description="a table [run]")
@@ -192,6 +220,8 @@ def table_at(path: Path, kind: Any = None) -> type[Table] | None:
     kinds = kinds_at(path)
     if kinds is not None:
         return kinds.get(kind) if isinstance(kind, str) else None
+    if path[:1] == ("events",) and len(path) == 2:
+        return EventTable
     tables: dict[Path, type[Table]] = {
         (): SceneTable,
         ("body",): BodyTable,

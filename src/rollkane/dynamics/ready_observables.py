@@ -1,4 +1,4 @@
-"""Observables by their names, for studies and their files."""
+"""Observables by their names, for studies, events and their files."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,10 +6,10 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..dynamics.observables import energy, friction_ratio, normal_force, outward
-from ..dynamics.rolling import contact_of
 from ..geometry.rotations import quaternion_of
 from ..geometry.small_linear import cross, dot, matvec, norm
+from .observables import energy, friction_ratio, normal_force, outward
+from .rolling import contact_of
 
 
 def position(scene: Any, t: Any, state: Any) -> Float[Array, "3"]:
@@ -58,3 +58,6 @@ READY: dict[str, Callable[[Any, Any, Any], Array]] = {
     "friction_ratio": friction_ratio,
     "outward": outward,
 }
+
+# Those that are one number: what crosses a level.
+SCALARS = ("spin", "tilt", "energy", "normal_force", "friction_ratio")
