@@ -9,9 +9,9 @@ import pytest
 
 import rollkane as rk
 from rollkane.dynamics.observables import energy
+from rollkane.dynamics.ready_observables import position, spin
 from rollkane.uncertainty import fingerprint as prints
 from rollkane.uncertainty import monte_carlo as running
-from rollkane.uncertainty.ready_observables import position, spin
 from rollkane.uncertainty.unit_runs import UnitRuns
 
 UPRIGHT, ORIGIN = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)

@@ -10,11 +10,11 @@ import pytest
 import rollkane as rk
 from rollkane.dynamics.loads import AbstractLoad
 from rollkane.dynamics.observables import energy
+from rollkane.dynamics.ready_observables import position
 from rollkane.uncertainty.draws import Draws
 from rollkane.uncertainty.fingerprint import fingerprint
 from rollkane.uncertainty.made_members import MadeMembers
 from rollkane.uncertainty.program_digest import digest_of_program
-from rollkane.uncertainty.ready_observables import position
 from rollkane.uncertainty.store import differences
 from rollkane.uncertainty.unit_runs import UnitRuns
 from tests import small_studies as small

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.dynamics.ready_observables import READY
 from rollkane.files.scene_files import SceneFileError, load_scene
 from rollkane.uncertainty.draws import flat
-from rollkane.uncertainty.ready_observables import READY
 from rollkane.uncertainty.study_file import load_study
 
 VARY = """
