@@ -16,7 +16,7 @@ def run(*arguments):
 def test_a_steady_motion_is_told_and_written(tmp_path):
     file = tmp_path / "motion.json"
     ask = "steady", "rolling-disc", "--hold", "speed=1.5", "--hold", "tilt"
-    ran = run(*ask, "--json", str(file))
+    ran = run(*ask, "--energy-sign", "--json", str(file))
     assert ran.exit_code == 0, ran.output
     assert "steady motion, stable" in ran.output
     known = json.loads(file.read_text())

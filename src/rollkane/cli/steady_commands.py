@@ -30,6 +30,7 @@ def _hold_option(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.command()
 @click.argument("scene")
 @_hold_option
+@click.option("--energy-sign", is_flag=True, help="Tell that of the kept energy, too.")
 @click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
@@ -37,6 +38,7 @@ def steady(
     ctx: click.Context,
     scene: str,
     hold: tuple[str, ...],
+    energy_sign: bool,
     json_file: str | None,
     quiet: bool,
 ) -> None:
@@ -60,10 +62,13 @@ def steady(
         motion = steady_motion(file.scene, file.start, held)
     except FieldError as refused:
         raise click.UsageError(str(refused)) from refused
+    known = _motion_json(motion)
+    if energy_sign:
+        known["energy_sign"] = _sign_json(motion.energy_sign)
     if not quiet:
         click.echo(file.title)
         click.echo(str(motion))
-    _write_json(targets, _motion_json(motion), quiet)
+    _write_json(targets, known, quiet)
 
 
 @click.command()
@@ -226,7 +231,6 @@ def _motion_json(motion: Any) -> dict[str, Any]:
         "zeros": {name: _pair(v) for name, v in motion.zeros.items()},
         "stable": motion.stable,
         "family": motion.family,
-        "energy_sign": _sign_json(motion.energy_sign),
     }
 
 

@@ -82,7 +82,7 @@ class SteadyMotion:
     def energy_sign(self) -> EnergySign:
         """Of the kept energy's second variation, (10.6): definite is stable for good.
 
-        Computed when it is first asked for.
+        Compiled when it is first asked for, some seconds; printed from then on.
         """
         return energy_sign(self.asked, self.solution, self.eigenvalues, self.errors)
 
@@ -101,7 +101,8 @@ class SteadyMotion:
         rows += [
             f"  zero of {name:<20} {_complex(v):>15}" for name, v in self.zeros.items()
         ]
-        rows.append(f"  sign of {self.energy_sign}")
+        if "energy_sign" in vars(self):  # to print a motion should compile nothing
+            rows.append(f"  sign of {self.energy_sign}")
         return "\n".join(rows)
 
 
