@@ -338,11 +338,15 @@ def test_ctrl_c_waits_for_the_block_that_is_being_written(tmp_path, monkeypatch)
             signal.raise_signal(signal.SIGINT)
         return digest(self, k)
 
-    before = signal.getsignal(signal.SIGINT)
+    # a process that a shell starts in the background is told to ignore it
+    outside = signal.signal(signal.SIGINT, signal.default_int_handler)
     monkeypatch.setattr(Store, "_digest", late)
-    with pytest.raises(KeyboardInterrupt):
-        run(store)
-    assert signal.getsignal(signal.SIGINT) is before
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run(store)
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, outside)
     monkeypatch.setattr(Store, "_digest", digest)
     assert rk.read_study(store).size == 150
 

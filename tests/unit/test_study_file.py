@@ -144,7 +144,7 @@ WRONG = {
     "an event of a list": (('of = "spin"', "of = []"), ("events[0]",)),
     "a level": (("level = 0.0", 'level = "low"'), ("level", "must be a number")),
     "a direction": (("direction = -1", "direction = 2"), ("direction",)),
-    "a stop": (("stop = true", 'stop = "no"'), ("stop", "must be true or false")),
+    "a stop": (("stop = true", 'stop = "no"'), ("stop", "must be True or False")),
     "a name": (('name = "reversal"', "name = 3"), ("name", "must be a text")),
     "one name twice": (('name = "reversal"', 'name = "spin"'), ("is there twice",)),
     "an unknown key": (
