@@ -66,7 +66,7 @@ def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Searc
     guesses = _GUESSES
     while horizon < problem.span:
         found = growth.searched(z, horizon)
-        while guesses and followed(problem, found.z, 0.0, horizon, _FITS) < horizon:
+        while guesses and not _fits(problem, found.z, horizon):
             guesses -= 1
             other = growth.searched(growth.guess(), horizon)
             found = min(found, other, key=lambda m: m.cost)
@@ -110,21 +110,9 @@ class _Growth:
 
 
 def followed(
-    problem: Problem,
-    z: np.ndarray,
-    least: float,
-    most: float = np.inf,
-    share: float = _FOLLOWS,
+    problem: Problem, z: np.ndarray, least: float, most: float = np.inf
 ) -> float:
-    """How long the prediction follows the records [s], between two limits.
-
-    Args:
-        problem: Of the records.
-        z: Coordinates.
-        least: The shorter limit [s].
-        most: The longer limit [s].
-        share: Of the records' variation, that the misfit stays below besides noise.
-    """
+    """How long the prediction follows the records [s], between two limits."""
     horizon = most
     parts = zip(
         problem.records,
@@ -140,10 +128,29 @@ def followed(
             size = np.cumsum(np.nansum(sizes[name] ** 2, axis=1))
             # noise alone is no reason to stop
             noise = np.cumsum(np.sum(np.isfinite(misfit), axis=1))
-            left = (off - 2.0 * noise > share**2 * size) & (time > least)
+            left = (off - 2.0 * noise > _FOLLOWS**2 * size) & (time > least)
             if left.any():
                 horizon = min(horizon, float(time[np.argmax(left)]))
     return horizon
+
+
+def _fits(problem: Problem, z: np.ndarray, horizon: float) -> bool:
+    """Whether a minimum is of the records' motion, up to a horizon [s]."""
+    parts = zip(
+        problem.records,
+        problem.times(),
+        problem.channel_misfits(z, horizon),
+        problem.sizes(),
+        strict=True,
+    )
+    for record, times, misfits, sizes in parts:
+        for name, misfit in misfits.items():
+            within = times[name] - float(record.start_time) <= horizon
+            known = np.isfinite(misfit) & within[:, None]
+            off, noise = np.sum(misfit[known] ** 2), np.sum(known)
+            if off - 2.0 * noise > _FITS**2 * np.nansum(sizes[name][known] ** 2):
+                return False
+    return followed(problem, z, 0.0, horizon) >= horizon
 
 
 def _shortest(problem: Problem) -> float:
