@@ -259,12 +259,14 @@ class MonteCarlo:
         return "\n".join(lines)
 
 
-def read_study(path: str | os.PathLike[str], verify: bool = True) -> MonteCarlo:
+def read_study(path: str | os.PathLike[str]) -> MonteCarlo:
     """The study of a store, as far as it has come.
+
+    Every block is checked against its checksum: Zarr gives fill values for one that is
+    not there.
 
     Args:
         path: The store's folder.
-        verify: Whether blocks are checked against their checksums.
 
     Returns:
         Statistics of all blocks that are there [unit of each observable]; ``note``
@@ -282,7 +284,7 @@ def read_study(path: str | os.PathLike[str], verify: bool = True) -> MonteCarlo:
     bad: list[str] = []
     absent = 0
     for k in range(store.block_count):
-        problem = store.problem(k) if verify else None
+        problem = store.problem(k)
         if problem is None:
             found.add(store.span(k)[0], store.read(k))
         elif problem:
