@@ -26,12 +26,27 @@ def checked_level(level: Any) -> float:
     Raises:
         FieldError: it is not.
     """
-    real("level", level, (), "a level of confidence, as 0.95")
-    found = float(level)  # in double precision, whatever JAX computes in
-    if not 0.0 < found < 1.0:
-        remedy = "give 0.95 for 95 %"
-        raise FieldError("level", level, "must lie between 0 and 1", remedy)
-    return found
+    meaning = "a level of confidence, as 0.95"
+    return open_share("level", level, meaning, "give 0.95 for 95 %")
+
+
+def open_share(field: str, value: Any, meaning: str, remedy: str) -> float:
+    """A number between 0 and 1 [1], neither of them.
+
+    Args:
+        field: Name used in the error.
+        value: What was given.
+        meaning: What it is.
+        remedy: What to do where it is out of range.
+
+    Raises:
+        FieldError: it is not.
+    """
+    real(field, value, (), meaning)
+    share = float(value)  # in double precision, whatever JAX computes in
+    if not 0.0 < share < 1.0:
+        raise FieldError(field, value, "must lie between 0 and 1", remedy)
+    return share
 
 
 def normal_quantile(level: float) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..validation.checks import FieldError, real
+from .intervals import open_share
 from .totals import Layout, Piece
 
 
@@ -33,12 +34,8 @@ def checked_share(q: Any) -> float:
     Raises:
         FieldError: it is not.
     """
-    real("q", q, (), "which quantile, as 0.5")
-    share = float(q)  # in double precision, whatever JAX computes in
-    if not 0.0 < share < 1.0:
-        remedy = "give 0.5 for the median; minimum and maximum are there, too"
-        raise FieldError("q", q, "must lie between 0 and 1", remedy)
-    return share
+    remedy = "give 0.5 for the median; minimum and maximum are there, too"
+    return open_share("q", q, "which quantile, as 0.5", remedy)
 
 
 def checked_block(
