@@ -24,6 +24,7 @@ from .dynamics.scene import Scene as Scene
 from .dynamics.scene import Slipping as Slipping
 from .dynamics.supported import PointMasses as PointMasses
 from .dynamics.supported import Prescribed as Prescribed
+from .dynamics.rolling_bodies import RollingBody as RollingBody
 from .dynamics.supported import SupportedBody as SupportedBody
 from .files.accelerograms import Accelerogram as Accelerogram
 from .files.accelerograms import builtin_record as builtin_record

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..dynamics.mass_matrix import shares
 from ..dynamics.observables import (
     energy,
     kept_energy,
@@ -236,15 +235,13 @@ def _base_row(base: BaseKinematics | None, like: Array) -> list[Array]:
 def _carried_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
     """Places of carried masses on body axes, one after the other."""
     rows: list[Array] = []
-    for supported, alpha, rates in shares(
-        scene.supported, state.alpha, state.alpha_dot
-    ):
+    for supported, alpha, rates in scene.shares(state):
         part = supported.carried(t, alpha, rates)
         places = part.place.T
-        if part.turning is not None:
+        for turning in part.turnings:
             arms = (
                 _spread(cast(SupportedBody, supported.part))[:, None]
-                * part.turning.rotation.T
+                * turning.rotation.T
             )
             places = jnp.concatenate([places + arms, places - arms])
         rows.append(places.reshape(-1))
