@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot
 from ..kinematics.coordinates import State
+from ..validation.checks import FieldError
 from .carried import Carried, Pairing
 
 
@@ -104,6 +105,26 @@ def rolling_parts(supported: Sequence[AbstractSupported]) -> list[AbstractRollin
     return [part for part in supported if isinstance(part, AbstractRollingPart)]
 
 
+def refuse_rolling_parts(field: str, supported: Sequence[AbstractSupported]) -> None:
+    """Refuse a scene in which bodies roll on the rolling body, where none may.
+
+    Args:
+        field: Name used in the error.
+        supported: Parts of the scene.
+
+    Raises:
+        FieldError: one of them rolls on its carrier.
+    """
+    for k, part in enumerate(supported):
+        if isinstance(part, AbstractRollingPart):
+            raise FieldError(
+                field,
+                f"a {type(part).__name__}, supported[{k}]",
+                "cannot be used where bodies roll on the rolling body",
+                "leave these out, or use simulate or ensemble without it",
+            )
+
+
 def rates_of_rolling(
     supported: Sequence[AbstractSupported],
     states: Sequence[State],
@@ -148,6 +169,5 @@ def shares(
             end = start + part.count
             yield part, alpha[start:end], alpha_dot[start:end]
             start = end
-    none = alpha[:0]
     for part, state in zip(rolling_parts(supported), rolling, strict=True):
-        yield part, state, none
+        yield part, state, alpha[:0]

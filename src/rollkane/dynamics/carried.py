@@ -47,6 +47,8 @@ class Pairing(eqx.Module):
         turn_bias: Relative angular acceleration at zero rates of its quasi-velocities
             [rad/s^2], OWN axes; None: zero.
         masses: How many masses move with it.
+        placement: Unit quaternion, the surface's to the carrier's axes [1], shape (4,);
+            None: the same axes.
         inner: Of the bodies that roll on it or in it.
     """
 
@@ -56,6 +58,7 @@ class Pairing(eqx.Module):
     axes: tuple[Float[Array, "3"], ...]
     turn_bias: Float[Array, "3"] | None
     masses: int = eqx.field(static=True)
+    placement: Float[Array, "4"] | None = None
     inner: tuple["Pairing", ...] = ()
 
     @property

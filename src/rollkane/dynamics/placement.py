@@ -106,7 +106,7 @@ def place(
     }
     optional = "base_normal", "near_on_body", "velocity", "slip"
     refuse_needless(scene, {name: meanings[name][0] for name in optional})
-    asked = {
+    asked: dict[str, Any] = {
         name: None
         if value is None and name in optional
         else _number(dtype, name, value, count, meaning)

@@ -174,7 +174,9 @@ class RollingBody(AbstractRollingPart):
             turn_bias = -dot(contact.angular_velocity, rate) * N
         masses = sum(part.mass.shape[0] for part in parts)
         inner = tuple(part.pairing for part in parts if part.pairing is not None)
-        return Pairing(contact, rotation, place, axes, turn_bias, masses, inner)
+        return Pairing(
+            contact, rotation, place, axes, turn_bias, masses, self.rotation, inner
+        )
 
     def carried(self, t: Array, alpha: Any, alpha_dot: Any) -> Carried:
         """Everything that moves with it, at one instant, on the CARRIER's axes.
@@ -237,9 +239,9 @@ class RollingBody(AbstractRollingPart):
         zero = jnp.zeros_like(state.angular_velocity[0])
         forces = [zero if torque is None else dot(torque, e) for e in pairing.axes]
         anything = torque is not None
-        for part, *own in self.scene.shares(state):
+        for part, own, rates in self.scene.shares(state):
             rolls = isinstance(part, AbstractRollingPart)
-            force = part.applied(t, *own, next(inner) if rolls else None)
+            force = part.applied(t, own, rates, next(inner) if rolls else None)
             anything = anything or force is not None
             forces += [zero] * part.count if force is None else force
         return forces if anything else None
@@ -275,7 +277,6 @@ class RollingBody(AbstractRollingPart):
         return self.torque is not None or any(p.does_work for p in self.supported)
 
 
-
 def example_state(scene: Scene) -> State:
     """A state of the right shapes for a scene that rolls, of no meaning."""
     n = scene.coordinate_count
@@ -294,9 +295,7 @@ def example_state(scene: Scene) -> State:
 def _alone(body: Body) -> Carried:
     """The rolling body itself, at rest on its own axes."""
     still = jnp.zeros_like(body.center_of_mass)
-    turning = Turning(
-        jnp.eye(3, dtype=still.dtype), body.inertia, still, still, ()
-    )
+    turning = Turning(jnp.eye(3, dtype=still.dtype), body.inertia, still, still, ())
     return Carried(
         mass=body.mass[None],
         place=body.center_of_mass[:, None],

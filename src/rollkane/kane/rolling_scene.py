@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.loads import AbstractLoad
 from ..dynamics.mass_matrix import field_of
 from ..dynamics.rolling import contact_of
@@ -52,6 +53,7 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
             "has another law of the contact than Rolling",
             "give a scene with contact=Rolling(), or write its system down",
         )
+    refuse_rolling_parts("rolling_system.scene", scene.supported)
     count = scene.coordinate_count
     shared = _Shared(_places(like), reactions)
     parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]

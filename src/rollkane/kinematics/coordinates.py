@@ -229,7 +229,7 @@ class FlyingState(State):
     def _rates(self, contact: Contact, known: Accelerations) -> Self:
         """Rates of a state in flight."""
         assert known.point is not None
-        still = {
+        still: dict[str, Any] = {
             "contact_on_base": jnp.zeros_like(self.contact_on_base),
             "contact_on_body": jnp.zeros_like(self.contact_on_body),
         }

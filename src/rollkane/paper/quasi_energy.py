@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..dynamics.bodies import inertia_about
 from ..dynamics.abstract_supported import shares
+from ..dynamics.bodies import inertia_about
 from ..dynamics.mass_matrix import field_of
 from ..dynamics.scene import Scene
 from ..dynamics.supported import total

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..dynamics.abstract_supported import rolling_parts
+from ..dynamics.abstract_supported import refuse_rolling_parts, rolling_parts
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
 from ..hybrid.modes import Modes
@@ -27,17 +27,13 @@ def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
                 "has rolling without slipping only, and no dry resistance",
                 f'use "{general}", or Rolling() without dry resistance',
             )
+        if value != general:
+            refuse_rolling_parts(field, scene.supported)
 
 
 def check_modes(scene: Scene, start: object, modes: object) -> None:
     """Refuse modes, or a start, that no run through changes can have."""
-    if rolling_parts(scene.supported):
-        raise FieldError(
-            "simulate.modes",
-            type(modes).__name__,
-            "cannot be used where bodies roll on the rolling body",
-            "leave it out: the contacts hold, and the result says which would not",
-        )
+    refuse_rolling_parts("simulate.modes", scene.supported)
     if not isinstance(modes, Modes):
         raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
     known = State, SlidingState, FlyingState
@@ -53,9 +49,7 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
 def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
     """Refuse a start that does not belong to the scene."""
     if not isinstance(start, (State, VoronetsState)):
-        raise FieldError(
-            where, start, "must be a State", "make it with rollkane.place"
-        )
+        raise FieldError(where, start, "must be a State", "make it with rollkane.place")
     slips = scene.contact.slips
     if slips != start.slips:
         raise FieldError(
