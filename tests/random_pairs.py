@@ -58,7 +58,7 @@ KINDS = {
                 0.6,
                 (0.38, -1.0),
                 tilted=True,
-                inner=(Rolls(0.08, 0.3, (0.24, -1.0), particle=True),),
+                inner=(Rolls(0.08, 0.3, (0.24, -1.0)),),
             ),
         ),
     ),

@@ -18,7 +18,7 @@ BALL, SHELL = 0.1, 0.3
 
 
 def twin_errors(kind, seed, span):
-    """Differences of positions [m] and of contact forces [N, relative] from the twin."""
+    """Differences of positions [m] and of contact forces [relative] from the twin."""
     pairs = Pairs(kind, seed)
     times = np.linspace(0.0, span, 6)
     run = rk.simulate(pairs.scene, pairs.start, times, rtol=1e-12)
@@ -26,9 +26,7 @@ def twin_errors(kind, seed, span):
     assert run.method == "native"
     states = pairs.model.run(pairs.twin_start(run), times)
     twin = [pairs.model.split(y) for y in states]
-    forces = [
-        pairs.model.rates(t, y)[1] for t, y in zip(times, states, strict=True)
-    ]
+    forces = [pairs.model.rates(t, y)[1] for t, y in zip(times, states, strict=True)]
     off, pulled = 0.0, 0.0
     for k, (body, path) in enumerate(zip(pairs.bodies, pairs.paths, strict=True)):
         seen = pairs.motion_of(run, path)
@@ -292,7 +290,7 @@ def test_gradients_both_ways():
     total = sum(jax.tree.leaves(both))
     size = sum(abs(float(x)) for x in jax.tree.leaves(both))
     assert abs(total - forward) < 1e-9 * size
-    # against differences of the fourth order, of numbers that change by h of themselves:
+    # against differences of the fourth order, of numbers that change by h of their size:
     # h^4 / 30 of a fifth derivative below 1e4, and steps' errors of 1e-11 / h
     h = 2e-3
     moved = lambda k: place(jax.tree.map(lambda x, v: x + k * h * v, model, way))

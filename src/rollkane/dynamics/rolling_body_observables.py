@@ -35,6 +35,8 @@ class RollingBodyMotion(NamedTuple):
         contact_on_body: The same from its origin [m], its OWN axes, shape (3,).
         contact_on_carrier: The same, on the axes of the carrier's surface [m], (3,).
         outward: Unit normal out of the body there [1], FIXED axes, shape (3,).
+        body_outward: The same on its OWN axes [1], shape (3,).
+        carrier_outward: Unit normal out of the carrier there [1], axes of its surface.
     """
 
     position: Float[Array, "3"]
@@ -45,6 +47,16 @@ class RollingBodyMotion(NamedTuple):
     contact_on_body: Float[Array, "3"]
     contact_on_carrier: Float[Array, "3"]
     outward: Float[Array, "3"]
+    body_outward: Float[Array, "3"]
+    carrier_outward: Float[Array, "3"]
+
+
+def paths_of_rolling(scene: Scene) -> Iterator[tuple[int, ...]]:
+    """Paths, as of :func:`motion_of`, of all bodies that roll in a scene."""
+    for k, part in enumerate(rolling_parts(scene.supported)):
+        yield (k,)
+        for path in paths_of_rolling(part.scene):
+            yield (k, *path)
 
 
 class _Pose(NamedTuple):
@@ -87,6 +99,8 @@ def motion_of(
         contact_on_body=pairing.contact.body_point,
         contact_on_carrier=pairing.contact.base_point,
         outward=matvec(pose.rotation, pairing.contact.normal),
+        body_outward=pairing.contact.normal,
+        carrier_outward=-matvec(pairing.contact.rotation, pairing.contact.normal),
     )
 
 

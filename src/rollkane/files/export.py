@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import __version__
+from ..dynamics.rolling_body_observables import paths_of_rolling
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene
 from ..simulation.ensemble_result import Ensemble
@@ -58,8 +59,19 @@ _SUPPORTED = {
     "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
     "alpha_dot": (("coordinate",), "their rates", "", ""),
 }
-
-
+_ROLLING = {
+    "position": (_AXIS, "its origin", "m", "fixed"),
+    "orientation": (
+        ("quaternion",),
+        "unit quaternion, scalar first, its own to fixed axes",
+        "1",
+        "own to fixed",
+    ),
+    "angular_velocity": (_AXIS, "angular velocity", "rad/s", "fixed"),
+    "contact_place": (_AXIS, "where it touches its carrier", "m", "fixed"),
+    "contact_force": (_AXIS, "force of its carrier on it", "N", "fixed"),
+    "normal_force": ((), "normal force, positive while pressed together", "N", ""),
+}
 _MODE = {"mode": ((), "0 rolls, 1 slips, 2 flies, -1 not reached", "", "")}
 QUANTITIES = _VARIABLES | _MOVING | _WORK | _SLIDING
 COORDINATES: dict[str, Any] = {
@@ -81,8 +93,9 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
         something is supported ``alpha`` and ``alpha_dot``; where the base moves
         ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
-        slips ``slip``; where it changes ``slip`` and ``mode``; where the energy may
-        change ``power``.
+        slips ``slip``; where it changes ``slip`` and ``mode``; of each body that rolls
+        on the body, by its path, the likes of ``rolling_0_position``; where the energy
+        may change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -142,6 +155,12 @@ def quantities(
     if scene.coordinate_count:
         described |= _SUPPORTED
     values = _values(motion, tuple(described))
+    for path in paths_of_rolling(scene):
+        place = "_".join(str(k) for k in path)
+        inner = _values(motion, tuple(_ROLLING), path)
+        for name, about in _ROLLING.items():
+            described[f"rolling_{place}_{name}"] = about
+            values[f"rolling_{place}_{name}"] = inner[name]
     return {
         name: ((*front, *behind), np.asarray(values[name]), labels(*about))
         for name, (behind, *about) in described.items()
@@ -198,9 +217,15 @@ def imported(module: str) -> Any:
 
 
 @eqx.filter_jit
-def _values(motion: AbstractMotion, names: tuple[str, ...]) -> dict[str, Array]:
-    """All variables in one program: parts that they share are computed once."""
-    return {name: getattr(motion, name) for name in names}
+def _values(
+    motion: AbstractMotion, names: tuple[str, ...], path: tuple[int, ...] = ()
+) -> dict[str, Array]:
+    """All variables in one program: parts that they share are computed once.
+
+    Of the body that rolls in it, where a path to one is given.
+    """
+    of: Any = motion.rolling_body(*path) if path else motion
+    return {name: getattr(of, name) for name in names}
 
 
 def _lanes(trajectory: Trajectory) -> tuple[str, ...]:
