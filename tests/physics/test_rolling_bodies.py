@@ -290,7 +290,7 @@ def test_gradients_both_ways():
     total = sum(jax.tree.leaves(both))
     size = sum(abs(float(x)) for x in jax.tree.leaves(both))
     assert abs(total - forward) < 1e-9 * size
-    # against differences of the fourth order, of numbers that change by h of their size:
+    # against differences of the fourth order, of numbers that move by h of their size:
     # h^4 / 30 of a fifth derivative below 1e4, and steps' errors of 1e-11 / h
     h = 2e-3
     moved = lambda k: place(jax.tree.map(lambda x, v: x + k * h * v, model, way))
