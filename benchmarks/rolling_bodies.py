@@ -4,9 +4,9 @@
 
 A shell on a plane alone, with a ball that rolls in it, with an ellipsoid, with two
 balls, with a shell in which a ball rolls, and a ball with a ball on top. Time a step of
-a native run (Dopri8 at rtol 1e-9, least of the repeats, of 10 s), first result and first
-gradient in a process of its own with an empty cache, and equations of the right-hand
-side. The ball in the shell by SymPy's Kane's method and SciPy, derived and run, too.
+a native run (Dopri8 at rtol 1e-9, least of the repeats, of 10 s), first result and
+first gradient in a process of its own with an empty cache, and equations of the
+right-hand side. The ball in the shell by SymPy's Kane's method and SciPy, derived and run, too.
 Prints a table and writes it as JSON.
 """
 
@@ -78,9 +78,7 @@ def scene_of(name):
     parts, states = scenes()[name]
     shell = rk.Body(1.0, np.diag([0.05, 0.045, 0.055]), rk.Sphere(0.3))
     scene = rk.Scene(shell, supported=parts)
-    start = rk.place(
-        scene, LEVEL, (0.5, 1.0, 2.0), (0.0, 0.0, 0.0), supported=states
-    )
+    start = rk.place(scene, LEVEL, (0.5, 1.0, 2.0), (0.0, 0.0, 0.0), supported=states)
     return scene, start
 
 
@@ -148,7 +146,9 @@ def main():
         return
     rows = {name: measure(name, given.repeats) for name in scenes()}
     bare = rows["shell alone"]["step"]
-    print(f"{'':24}{'us a step':>10}{'ratio':>7}{'steps':>7}{'first s':>9}{'grad s':>8}")
+    print(
+        f"{'':24}{'us a step':>10}{'ratio':>7}{'steps':>7}{'first s':>9}{'grad s':>8}"
+    )
     for name, row in rows.items():
         print(
             f"{name:24}{1e6 * row['step']:10.2f}{row['step'] / bare:7.2f}"

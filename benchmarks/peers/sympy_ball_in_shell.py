@@ -35,11 +35,15 @@ def derived():
     frames, known = [], {}
     for name, unit, w in (("A", p, u[:3]), ("B", q, u[3:])):
         frame = N.orientnew(name, "Quaternion", unit)
-        frame.set_ang_vel(N, sum((a * e for a, e in zip(w, frame, strict=True)), 0 * N.x))
+        frame.set_ang_vel(
+            N, sum((a * e for a, e in zip(w, frame, strict=True)), 0 * N.x)
+        )
         s, v = unit[0], sympy.Matrix(unit[1:])
         w = sympy.Matrix(w)
         moved = (s * w + v.cross(w)) / 2
-        known |= dict(zip([a.diff(t) for a in unit], (-v.dot(w) / 2, *moved), strict=True))
+        known |= dict(
+            zip([a.diff(t) for a in unit], (-v.dot(w) / 2, *moved), strict=True)
+        )
         frames.append(frame)
     A, B = frames
     w1, w2 = A.ang_vel_in(N), B.ang_vel_in(N)

@@ -77,6 +77,7 @@ NAMES = {
     "Prescribed",
     "RecordedMotion",
     "Spin",
+    "RollingBody",
     "SupportedBody",
     "VoronetsState",
     "builtin_record",

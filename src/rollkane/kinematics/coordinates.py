@@ -173,6 +173,7 @@ class SlidingState(State):
         contact_on_body: On the body, shape (m,).
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each body that rolls on this one, relative to it.
         slip: ``U``, velocity of the body's material point at the contact over the
             base, FIXED axes [m/s], shape (3,).
     """
@@ -211,6 +212,7 @@ class FlyingState(State):
         contact_on_body: Where the body is nearest, shape (m,).
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each body that rolls on this one, relative to it.
         position: Body origin, FIXED axes [m], shape (3,).
         velocity: Of the body origin, FIXED axes [m/s], shape (3,).
     """
