@@ -6,8 +6,8 @@ A shell on a plane alone, with a ball that rolls in it, with an ellipsoid, with 
 balls, with a shell in which a ball rolls, and a ball with a ball on top. Time a step of
 a native run (Dopri8 at rtol 1e-9, least of the repeats, of 10 s), first result and
 first gradient in a process of its own with an empty cache, and equations of the
-right-hand side. The ball in the shell by SymPy's Kane's method and SciPy, derived and run, too.
-Prints a table and writes it as JSON.
+right-hand side. The ball in the shell by SymPy's Kane's method and SciPy, derived and
+run, too. Prints a table and writes it as JSON.
 """
 
 import argparse
