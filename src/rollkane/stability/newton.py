@@ -210,6 +210,7 @@ def solved(
     step: np.ndarray | None = None,
     border: np.ndarray | None = None,
     tries: int = _TRIES,
+    program: LocalProgram | None = None,
 ) -> Solved:
     """Levenberg and Marquardt's method from a guess, to rounding.
 
@@ -222,10 +223,11 @@ def solved(
         border: Row of (x, xi, p) that all further steps have to be at right angles
             to; None: p is kept.
         tries: Most steps; 0: none, the guess itself.
+        program: Of the same problem, parameter and quantities, where it is made.
     """
     n, K = len(asked.names), xi.size
     step = np.zeros(n) if step is None else step
-    program = program_of(asked)
+    program = program_of(asked) if program is None else program
     point, done = point_at(asked, program, state, step, xi, p), np.zeros(n)
     matrix, right = _bordered(asked, point, done, xi, p, border)
     error, damping = _size(right), 0.0

@@ -143,13 +143,15 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     asked = Asked(problem, None, quantities, np.zeros(len(quantities)))
     asked = asked._replace(names=names, fast=fast)
     start = np.zeros(len(problem.group))
-    first = point_at(asked, program_of(asked), state, np.zeros(len(names)), start, 0.0)
+    program = program_of(asked)
+    first = point_at(asked, program, state, np.zeros(len(names)), start, 0.0)
     refuse_rank(first.local.basis)
     given = zip(values, first.local.held, strict=True)
     wanted = [float(own) if v is None else v for v, own in given]
     asked = asked._replace(values=np.array(wanted, float))
     refuse_moving("steady_motion.hold", asked, first)
-    found = solved(asked, state, guessed_velocities(first), 0.0)
+    xi = guessed_velocities(first)
+    found = solved(asked, state, xi, 0.0, program=program)
     if not found.error < SOLVED:
         refuse_unsolved(asked, state, found)
     return motion_of(asked, found)
