@@ -151,11 +151,11 @@ def symmetries(scene: Scene) -> Symmetries:
 
     Source: docs/theory.md, (10.1).
     """
-    if is_traced(scene):
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
+    if is_traced(leaves):
         problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
         raise FieldError("symmetries.scene", "a traced scene", problem, remedy)
     refuse_rolling_parts("symmetries.scene", scene.supported)
-    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
     known = [np.asarray(x) for x in leaves]
     key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
     if key not in _FOUND:
