@@ -17,7 +17,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 
 demo: $(VENV)/.installed
 	@mkdir -p out
-	$(BIN)/rollkane simulate rattleback --out out/rattleback.nc --plot out/rattleback.png \
+	$(BIN)/rollkane simulate rattleback --force --out out/rattleback.nc --plot out/rattleback.png \
 		--path out/rattleback_path.png --view out/rattleback.html
 
 test: $(VENV)/.installed

@@ -43,10 +43,10 @@ jax.config.update("jax_enable_x64", True)
 
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
-from rollkane.uncertainty.ready_observables import position  # noqa: E402
 
 import rollkane as rk  # noqa: E402
 from rollkane.dynamics.observables import energy  # noqa: E402
+from rollkane.dynamics.ready_observables import position  # noqa: E402
 
 HERE = Path(__file__).resolve()
 SMALL, LARGE = "1536k", "64m"  # of the tmpfs

@@ -227,15 +227,18 @@ def test_bad_options(folder, monkeypatch, arguments, message):
 
 
 @pytest.mark.parametrize(
-    ("option", "module", "extra"),
-    [("--out", "h5py", "results"), ("--plot", "matplotlib", "plot")],
+    ("option", "name", "module", "extra"),
+    [
+        ("--out", "a.nc", "h5py", "results"),
+        ("--plot", "a.svg", "matplotlib", "plot"),
+    ],
 )
-def test_missing_extra_is_named(folder, monkeypatch, option, module, extra):
+def test_missing_extra_is_named(folder, monkeypatch, option, name, module, extra):
     find = importlib.util.find_spec
     monkeypatch.setattr(
         importlib.util, "find_spec", lambda name: None if name == module else find(name)
     )
-    result = rollkane_with("simulate", "ball.toml", option, "a")
+    result = rollkane_with("simulate", "ball.toml", option, name)
     assert result.exit_code == 2
     assert f"needs {module}, which is not installed" in result.output
     assert f"pip install 'rollkane[{extra}]'" in result.output.replace("\n", " ")
@@ -293,22 +296,24 @@ def test_work_precision(folder):
     assert (folder / "work.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("target", ["--json", "--plot"])
-def test_work_precision_on_a_disk_that_refuses(folder, monkeypatch, target):
+@pytest.mark.parametrize(
+    ("target", "old"), [("--json", "old.json"), ("--plot", "old.png")]
+)
+def test_work_precision_on_a_disk_that_refuses(folder, monkeypatch, target, old):
     """A sentence, and no half of a file in the place of the old one."""
 
     def full(*_):
         raise OSError("no space left on device")
 
-    (folder / "old").write_text("as it was")
+    (folder / old).write_text("as it was")
     monkeypatch.setattr("rollkane.files.atomic_file.os.fsync", full)
     options = ["--horizon", "0.5", "--solver", "Dopri5", "--method", "native"]
-    options += ["--rtol", "1e-6", "--repeats", "1", "--quiet", target, "old"]
+    options += ["--rtol", "1e-6", "--repeats", "1", "--quiet", "--force", target, old]
     done = rollkane_with("work-precision", "ball.toml", *options)
     assert done.exit_code == 1
     assert "cannot write: no space left" in done.output
-    assert (folder / "old").read_text() == "as it was"
-    assert set(os.listdir(folder)) == {"ball.toml", "old"}
+    assert (folder / old).read_text() == "as it was"
+    assert set(os.listdir(folder)) == {"ball.toml", old}
 
 
 def test_work_precision_without_a_setting_that_worked(folder):

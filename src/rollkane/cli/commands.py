@@ -16,7 +16,7 @@ import click
 from .. import __version__
 from .event_options import ended, event_lines, watched
 from .fit_command import fit
-from .output_files import check_targets, telling_of_files, write
+from .output_files import check_targets, force_option, telling_of_files, write
 from .preparation import BAD_INPUT, STOPPED_EARLY, Positive, loaded, start_jax
 from .setup_commands import doctor, new
 from .steady_commands import family, steady
@@ -38,9 +38,9 @@ for _command in (new, fit, steady, family, monte_carlo, show, doctor):
 
 @main.command()
 @click.argument("scene")
-@click.option("--out", type=click.Path(), help="NetCDF file for the whole motion.")
-@click.option("--plot", type=click.Path(), help="PNG: spin, tilt, energy, force.")
-@click.option("--path", type=click.Path(), help="PNG: the path of the contact point.")
+@click.option("--out", type=click.Path(), help="Table of the motion: .nc, .csv.")
+@click.option("--plot", type=click.Path(), help="Picture: spin, tilt, energy, force.")
+@click.option("--path", type=click.Path(), help="Picture: path of the contact point.")
 @click.option("--view", type=click.Path(), help="HTML page that shows the motion.")
 @click.option(
     "--set",
@@ -70,6 +70,7 @@ for _command in (new, fit, steady, family, monte_carlo, show, doctor):
     multiple=True,
     help='End the run at an event: "lift-off", or one of SCENE by its name.',
 )
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def simulate(
@@ -87,6 +88,7 @@ def simulate(
     max_steps: int,
     method: str | None,
     stop: tuple[str, ...],
+    force: bool,
     quiet: bool,
 ) -> None:
     """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
@@ -97,7 +99,7 @@ def simulate(
     """
     asked = {"out": out, "plot": plot, "path": path, "view": view}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    check_targets(targets, scene)
+    check_targets(targets, scene, force=force)
     start_jax()
     file = loaded(ctx, scene, changes)
 
@@ -173,7 +175,8 @@ def simulate(
     help="End error for which a solver is recommended.",
 )
 @click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
-@click.option("--plot", type=click.Path(), help="PNG: error against time.")
+@click.option("--plot", type=click.Path(), help="Picture: error against time.")
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="No progress bar.")
 @click.pass_context
 def work_precision(
@@ -184,6 +187,7 @@ def work_precision(
     error: float,
     json_file: str | None,
     plot: str | None,
+    force: bool,
     quiet: bool,
     **choices: tuple[Any, ...],
 ) -> None:
@@ -195,7 +199,7 @@ def work_precision(
     """
     asked = {"json": json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    check_targets(targets, scene)
+    check_targets(targets, scene, force=force)
     start_jax()
     file = loaded(ctx, scene)
 

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import click
 
 from .json_text import json_text
-from .output_files import check_targets, telling_of_files
+from .output_files import check_targets, force_option, telling_of_files
 from .preparation import STOPPED_EARLY, loaded, start_jax
 
 _CHANNELS = (
@@ -99,7 +99,8 @@ def _several(
 )
 @click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
 @click.option("--report", type=click.Path(), help="HTML page to write.")
-@click.option("--plot", type=click.Path(), help="PNG: samples, prediction, misfits.")
+@click.option("--plot", type=click.Path(), help="Picture: samples, misfits.")
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def fit(
@@ -110,6 +111,7 @@ def fit(
     report: str | None,
     plot: str | None,
     profile: bool,
+    force: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
@@ -127,7 +129,7 @@ def fit(
     """
     asked = {"json": json_file, "report": report, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    check_targets(targets, scene, data)
+    check_targets(targets, scene, data, force=force)
     named = {name: _pairs(name, options[name]) for name in (*_NAMED, "channel")}
     start_jax()
     file = loaded(ctx, scene)

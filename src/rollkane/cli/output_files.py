@@ -3,41 +3,63 @@
 import contextlib
 import importlib.util
 import os
+import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any, NoReturn
 
 import click
 
+from ..files.file_endings import (
+    JSON,
+    NETCDF,
+    PAGES,
+    PICTURES,
+    TABLES,
+    ending,
+    wrong_ending,
+)
+
+# by option: endings that it can write, the modules for it, the extra with them
 _NEEDS = {
-    "out": (("xarray", "h5netcdf", "h5py"), "results"),
-    "plot": (("matplotlib",), "plot"),
-    "path": (("matplotlib",), "plot"),
-    "view": ((), ""),
-    "json": ((), ""),
-    "report": (("matplotlib",), "plot"),
+    "out": (NETCDF + TABLES, ("xarray", "h5netcdf", "h5py"), "results"),
+    "plot": (PICTURES, ("matplotlib",), "plot"),
+    "path": (PICTURES, ("matplotlib",), "plot"),
+    "view": (PAGES, (), ""),
+    "json": (JSON, (), ""),
+    "report": (PAGES, ("matplotlib",), "plot"),
 }
+force_option = click.option("--force", is_flag=True, help="Replace files that exist.")
 
 
-def check_targets(targets: dict[str, Path], scene: str, data: str = "") -> None:
-    """Refuse, before anything runs, what could not be written after it."""
+def check_targets(
+    targets: dict[str, Path], scene: str, data: str = "", *, force: bool = False
+) -> None:
+    """Refuse, before anything runs, what could not be written after it.
+
+    Args:
+        targets: Files by option.
+        scene: The argument SCENE; not to be written over.
+        data: The argument DATA, likewise.
+        force: Whether files that exist are replaced unasked; else the user is asked on
+            a terminal, and elsewhere they are refused.
+    """
     taken = {Path(scene).resolve(): "SCENE"}
     if data:
         taken[Path(data).resolve()] = "DATA"
     for name, target in targets.items():
         option = f"--{name}"
-        folder = target.resolve().parent
-        if not folder.is_dir():
-            _refuse(option, f"the folder {folder} does not exist; make it first")
-        if target.is_dir():
-            _refuse(option, f"{target} is a folder; give the name of a file")
-        if not os.access(folder, os.W_OK):
-            _refuse(option, f"the folder {folder} cannot be written to")
+        _check_place(option, target)
         if target.resolve() in taken:
             other = taken[target.resolve()]
             _refuse(option, f"{target} is the file of {other}; give another name")
         taken[target.resolve()] = option
-        modules, extra = _NEEDS[name]
+        endings, modules, extra = _NEEDS[name]
+        wrong = wrong_ending(target, endings)
+        if wrong is not None:
+            _refuse(option, f"{target}: {wrong[0]}; {wrong[1]}")
+        if ending(target) in TABLES:  # which need none of them
+            modules = ()
         for module in modules:
             if importlib.util.find_spec(module) is None:
                 _refuse(
@@ -45,6 +67,30 @@ def check_targets(targets: dict[str, Path], scene: str, data: str = "") -> None:
                     f"needs {module}, which is not installed: "
                     f"pip install 'rollkane[{extra}]'",
                 )
+    for name, target in targets.items() if not force else ():
+        if target.exists() and not (_is_asked() and _may_replace(target)):
+            problem = f"{target} is there; give --force to replace it, or another name"
+            _refuse(f"--{name}", problem)
+
+
+def _check_place(option: str, target: Path) -> None:
+    """Refuse a file in no folder, or that is one."""
+    folder = target.resolve().parent
+    if not folder.is_dir():
+        _refuse(option, f"the folder {folder} does not exist; make it first")
+    if target.is_dir():
+        _refuse(option, f"{target} is a folder; give the name of a file")
+    if not os.access(folder, os.W_OK):
+        _refuse(option, f"the folder {folder} cannot be written to")
+
+
+def _is_asked() -> bool:
+    """Whether there is somebody to answer a question."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def _may_replace(target: Path) -> bool:
+    return click.confirm(f"{target} is there; replace it?", err=True)
 
 
 def _refuse(option: str, message: str) -> NoReturn:
@@ -57,7 +103,7 @@ def write(name: str, result: Any, target: Path, title: str) -> bool:
 
     try:
         with telling_of_files(f" {target}"):
-            _writer(name)(result, target, title)
+            _writer(name, target)(result, target, title)
     except FieldError as error:
         click.echo(f"error: did not write {target}: {error}", err=True)
         return False
@@ -73,7 +119,11 @@ def telling_of_files(target: str = "") -> Generator[None, None, None]:
         raise click.ClickException(f"cannot write{target}: {error}") from error
 
 
-def _writer(name: str) -> Callable[[Any, Path, str], None]:
+def _writer(name: str, target: Path) -> Callable[[Any, Path, str], None]:
+    if name == "out" and ending(target) in TABLES:
+        from ..files.csv_table import write_csv
+
+        return lambda result, target, title: write_csv(result, target)
     if name == "out":
         from ..files.export import write_netcdf
 

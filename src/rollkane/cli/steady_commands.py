@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import click
 
-from .output_files import check_targets, telling_of_files
+from .output_files import check_targets, force_option, telling_of_files
 from .preparation import loaded, start_jax
 
 # held in this order, until a branch is left
@@ -32,6 +32,7 @@ def _hold_option(command: Callable[..., Any]) -> Callable[..., Any]:
 @_hold_option
 @click.option("--energy-sign", is_flag=True, help="Tell that of the kept energy, too.")
 @click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def steady(
@@ -40,6 +41,7 @@ def steady(
     hold: tuple[str, ...],
     energy_sign: bool,
     json_file: str | None,
+    force: bool,
     quiet: bool,
 ) -> None:
     r"""Find the steady motion of SCENE near its start, and its stability.
@@ -50,7 +52,7 @@ def steady(
     Exit code 0: done; 2: bad input, or no steady motion; nothing is written then.
     """
     targets = {} if json_file is None else {"json": Path(json_file)}
-    check_targets(targets, scene)
+    check_targets(targets, scene, force=force)
     held = _held(hold)
     start_jax()
     file = loaded(ctx, scene)
@@ -88,8 +90,9 @@ def steady(
     help="How many steps the range is wide, at least.",
 )
 @click.option("--show", metavar="NAME", help="What the diagram shows; growth.")
-@click.option("--plot", type=click.Path(), help="PNG: the diagram.")
+@click.option("--plot", type=click.Path(), help="Picture: the diagram.")
 @click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def family(
@@ -101,6 +104,7 @@ def family(
     show: str | None,
     plot: str | None,
     json_file: str | None,
+    force: bool,
     quiet: bool,
 ) -> None:
     r"""Follow the steady motions of SCENE through a range of a number.
@@ -113,7 +117,7 @@ def family(
     """
     asked = {"json": json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
-    check_targets(targets, scene)
+    check_targets(targets, scene, force=force)
     held, (name, span) = _held(hold), _range(vary)
     start_jax()
     file = loaded(ctx, scene)

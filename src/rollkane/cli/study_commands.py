@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import click
 
 from .json_text import json_text
-from .output_files import check_targets, telling_of_files
+from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, STOPPED_EARLY, Positive, start_jax
 
 _INTERRUPTED = 130  # as a shell says of Ctrl-C
@@ -41,7 +41,8 @@ _INTERRUPTED = 130  # as a shell says of Ctrl-C
     help="Stop where the interval of NAME is as short, or at --size.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print statistics as JSON.")
-@click.option("--plot", type=click.Path(), help="PNG: histograms, probabilities.")
+@click.option("--plot", type=click.Path(), help="Picture: histograms, probabilities.")
+@force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
 def monte_carlo(
@@ -51,6 +52,7 @@ def monte_carlo(
     resume: bool,
     as_json: bool,
     plot: str | None,
+    force: bool,
     quiet: bool,
     **options: Any,
 ) -> None:
@@ -64,7 +66,7 @@ def monte_carlo(
     130: Ctrl-C.
     """
     targets = {} if plot is None else {"plot": Path(plot)}
-    check_targets(targets, study)
+    check_targets(targets, study, force=force)
     if resume and store is None:
         _refuse("--resume", "needs the --store that is gone on with")
     if store is not None and not Path(store).resolve().parent.is_dir():
@@ -91,16 +93,19 @@ def monte_carlo(
 @click.command()
 @click.argument("store")
 @click.option("--json", "as_json", is_flag=True, help="Print statistics as JSON.")
-@click.option("--plot", type=click.Path(), help="PNG: histograms, probabilities.")
+@click.option("--plot", type=click.Path(), help="Picture: histograms, probabilities.")
+@force_option
 @click.pass_context
-def show(ctx: click.Context, store: str, as_json: bool, plot: str | None) -> None:
+def show(
+    ctx: click.Context, store: str, as_json: bool, plot: str | None, force: bool
+) -> None:
     """Print what STORE holds, the folder that `monte-carlo --store` wrote.
 
     Every block is checked against its checksum. Exit code 0: all blocks are there; 2:
     no store; 3: some are not, or are damaged, and are left out.
     """
     targets = {} if plot is None else {"plot": Path(plot)}
-    check_targets(targets, store)
+    check_targets(targets, store, force=force)
 
     from ..uncertainty.result import read_study
     from ..uncertainty.store import StoreError

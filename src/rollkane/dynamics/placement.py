@@ -22,7 +22,13 @@ from .abstract_supported import rolling_parts
 from .clearance import clearance, may_touch_twice
 from .consistency import consistent
 from .mass_matrix import assemble, field_of
-from .placement_errors import Placed, refuse_bad, refuse_needless, warn_of_pull
+from .placement_errors import (
+    Placed,
+    refuse_bad,
+    refuse_needless,
+    refuse_no_scene,
+    warn_of_pull,
+)
 from .rolling import contact_of
 from .scene import Scene
 
@@ -91,6 +97,7 @@ def place(
 
     Source: docs/theory.md, (1.4), ``n_body = -R^T n_base``.
     """
+    refuse_no_scene(scene)
     dtype = scene.body.mass.dtype
     meanings = {
         "orientation": (orientation, 4, "a unit quaternion"),
@@ -116,7 +123,8 @@ def place(
     looks = may_touch_twice(scene) and not allow_overlap
     placed = (_placed_looking if looks else _placed)(scene, asked)
     if not is_traced(placed):
-        refuse_bad(placed, asked)
+        given = {name: value for name, (value, _, _) in meanings.items()}
+        refuse_bad(placed, asked, given)
         warn_of_pull(scene, placed, asked)
     return placed.state
 

@@ -91,6 +91,14 @@ _WRONG = {
 }
 
 
+def refuse_no_scene(scene: object) -> None:
+    """Refuse what is no scene: a body alone, say, or arguments in another order."""
+    if not isinstance(scene, Scene):
+        kind = f"must be a Scene, not a {type(scene).__name__}"
+        remedy = "call place(scene, orientation, angular_velocity, contact_on_base)"
+        raise FieldError("place.scene", scene, kind, remedy)
+
+
 def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
     """Refuse what the scene determines, or has no use for."""
     slips = scene.contact.slips
@@ -116,8 +124,14 @@ def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
         )
 
 
-def refuse_bad(placed: Placed, asked: dict[str, Any]) -> None:
-    """Refuse a placement of known numbers that is wrong, and say why."""
+def refuse_bad(placed: Placed, asked: dict[str, Any], given: dict[str, Any]) -> None:
+    """Refuse a placement of known numbers that is wrong, and say why.
+
+    Args:
+        placed: The state, and what is wrong with it.
+        asked: Arguments of ``place`` as arrays.
+        given: The same as the user wrote them: rounding to float32 would show others.
+    """
     for name, (field, problem, remedy) in _WRONG.items():
         if not bool(placed.wrong.get(name, False)):
             continue
@@ -125,7 +139,7 @@ def refuse_bad(placed: Placed, asked: dict[str, Any]) -> None:
         if placed.overlap is not None:
             known["overlap"] = float(placed.overlap)
             known["where"] = np.round(np.asarray(placed.where), 6).tolist()
-        value = asked.get(field, asked["alpha"])
+        value = given.get(field, given["alpha"])
         field = field if field not in asked else f"place.{field}"
         raise FieldError(field, value, problem.format(**known), remedy)
 

@@ -19,7 +19,9 @@ from ..hybrid.modes import HybridScene
 from ..simulation.ensemble_result import Ensemble
 from ..simulation.motion import AbstractMotion
 from ..simulation.trajectory import Trajectory
+from ..validation.checks import FieldError
 from .atomic_file import write_whole
+from .file_endings import NETCDF, wrong_ending
 
 if TYPE_CHECKING:
     import xarray
@@ -185,12 +187,17 @@ def write_netcdf(
 
     Args:
         run: A trajectory, an ensemble, or a data set made from one.
-        path: The file; replaced if it exists. Its folder must exist.
+        path: The file, .nc, .nc4, .h5 or .hdf5; replaced if it exists. Its folder must
+            exist.
 
     Raises:
+        FieldError: another ending: the file would not be what its name says.
         ImportError: xarray, h5netcdf or h5py is not installed.
         OSError: the folder does not exist, or cannot be written to.
     """
+    wrong = wrong_ending(path, NETCDF)
+    if wrong is not None:
+        raise FieldError("path", str(path), *wrong)
     for module in ("xarray", "h5netcdf", "h5py"):
         imported(module)
     made = isinstance(run, (Trajectory, Ensemble))

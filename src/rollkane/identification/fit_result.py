@@ -128,7 +128,7 @@ class Fit(Estimates):
         """Samples, predictions and misfits by channel (extra ``plot``).
 
         Args:
-            path: PNG file to write; None for none.
+            path: File to write, .png, .svg or .pdf; None for none.
             title: Above the figure.
 
         Returns:

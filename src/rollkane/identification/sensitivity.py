@@ -55,7 +55,7 @@ class Sensitivity:
         """Derivatives against time, a row for each observable (extra ``plot``).
 
         Args:
-            path: PNG file to write; None for none.
+            path: File to write, .png, .svg or .pdf; None for none.
 
         Returns:
             The matplotlib figure, or None where a file was written.

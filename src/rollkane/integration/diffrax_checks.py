@@ -1,4 +1,4 @@
-"""Diffrax without its own checks of traced numbers, which are made before it."""
+"""What is asked of diffrax before it runs: parts of its kinds, and its own checks."""
 
 import threading
 from collections.abc import Generator
@@ -7,8 +7,16 @@ from typing import Any
 
 import diffrax as dfx
 
-from ..validation.checks import is_traced
+from ..validation.checks import FieldError, is_traced
 
+# of which kind an argument is, and an example of it
+_KINDS: dict[str, tuple[type, str]] = {
+    "solver": (dfx.AbstractSolver, "Dopri8"),
+    "stepsize_controller": (dfx.AbstractStepSizeController, "PIDController"),
+    "adjoint": (dfx.AbstractAdjoint, "RecursiveCheckpointAdjoint"),
+    "saveat": (dfx.SaveAt, "SaveAt"),
+    "progress_meter": (dfx.AbstractProgressMeter, "TextProgressMeter"),
+}
 _TRACING = threading.RLock()
 
 
@@ -45,3 +53,29 @@ def checked_before(saveat: dfx.SaveAt | None) -> Generator[None, None, None]:
             yield
         finally:
             module.eqxi = checked
+
+
+def check_kinds(function: str, **given: Any) -> None:
+    """Refuse what is none of diffrax's objects: a name, or a class not yet called.
+
+    Args:
+        function: Whose arguments they are, for the error.
+        given: ``solver``, ``adjoint`` and so on by name; None was left out.
+
+    Raises:
+        FieldError: one that is of another kind.
+    """
+    for name, value in given.items():
+        kind, example = _KINDS[name]
+        if value is None or isinstance(value, kind):
+            continue
+        named = value if isinstance(value, str) else getattr(value, "__name__", "")
+        meant = getattr(dfx, named, None) if named.isidentifier() else None
+        if isinstance(meant, type) and issubclass(meant, kind):
+            example = meant.__name__
+        raise FieldError(
+            f"{function}.{name}",
+            value,
+            "must be an object of diffrax, not its name or class",
+            f"import diffrax and give {name}=diffrax.{example}(...), say",
+        )

@@ -20,6 +20,7 @@ from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
 from .controller_interface import Number
+from .diffrax_checks import check_kinds
 
 # What a step of a diffrax solver gives: its end, the error, what interpolates, memory.
 _Step: TypeAlias = tuple[Array, Array | None, dict[str, Any], Any, dfx.RESULTS]
@@ -227,6 +228,7 @@ def keeping_energy(
     """
     del start
     check_keeps_energy("keeping_energy.scene", scene)
+    check_kinds("keeping_energy", solver=solver)
     return KeepingEnergy(dfx.Dopri8() if solver is None else solver)
 
 

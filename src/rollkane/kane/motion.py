@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..integration.backends import check_method, run_by, without_native
+from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import (
     Problem,
     checked_times,
@@ -134,6 +135,13 @@ def simulate(
         remedy = "write the function for rollkane.Keeping yourself"
         raise FieldError("simulate.solver", solver, problem, remedy)
     check_method(method)
+    check_kinds(
+        "simulate",
+        solver=solver,
+        stepsize_controller=stepsize_controller,
+        adjoint=adjoint,
+        progress_meter=progress_meter,
+    )
     given = {
         "stepsize_controller": stepsize_controller is not None,
         "adjoint": adjoint is not None,

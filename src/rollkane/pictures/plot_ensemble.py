@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..files.export import QUANTITIES
 from ..simulation.ensemble_result import Ensemble
 from ..validation.checks import FieldError
@@ -23,7 +22,7 @@ from .plot_style import (
     dress,
     limits,
     new_figure,
-    png,
+    write_picture,
 )
 
 if TYPE_CHECKING:
@@ -96,7 +95,7 @@ def plot_ensemble(
     kind: str = "fan",
     title: str = "",
 ) -> None:
-    """Write :func:`figure_ensemble` as a PNG file, whole or not at all.
+    """Write :func:`figure_ensemble` as a PNG, SVG or PDF file, whole or not at all.
 
     Args:
         ensemble: What to draw.
@@ -110,7 +109,7 @@ def plot_ensemble(
         FieldError: no such quantity or kind, or states that were not kept.
         OSError: the file cannot be written.
     """
-    write_whole(path, png(figure_ensemble(ensemble, of, kind, title)))
+    write_picture(path, figure_ensemble(ensemble, of, kind, title))
 
 
 def shown(ensemble: Ensemble, of: str | Callable[..., Any], at_end: bool) -> Shown:

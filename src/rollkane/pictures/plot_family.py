@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..stability.branch import Branch
-from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
+from .plot_style import BLUE, INK, RED, dress, limits, new_figure, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,7 +28,7 @@ def plot_family(
     show: str | None = None,
     title: str = "",
 ) -> None:
-    """Write the diagram of branches as a PNG.
+    """Write the diagram of branches as a PNG, SVG or PDF.
 
     Args:
         branches: Of the same family: one, or those that meet at bifurcations.
@@ -55,7 +54,7 @@ def plot_family(
     panel.set_ylabel(_with_unit(name))
     panel.set_title(title, fontsize=10, color=INK)
     panel.legend(fontsize=8, frameon=False)
-    write_whole(path, png(figure))
+    write_picture(path, figure)
 
 
 def _with_unit(name: str) -> str:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..files.atomic_file import write_whole
 from ..identification import body_sensors, sensors
 from ..identification.channels import AbstractChannel
 from ..identification.estimates import Estimates
@@ -21,7 +20,7 @@ from .plot_style import (
     dress,
     limits,
     new_figure,
-    png,
+    write_picture,
 )
 
 if TYPE_CHECKING:
@@ -107,7 +106,7 @@ def figure_fit(fit: Estimates, title: str = "") -> "Figure":
 
 
 def plot_fit(fit: Estimates, path: str | PathLike[str], title: str = "") -> None:
-    """Write the picture as a PNG file.
+    """Write the picture as a PNG, SVG or PDF file.
 
     Args:
         fit: What was found.
@@ -117,7 +116,7 @@ def plot_fit(fit: Estimates, path: str | PathLike[str], title: str = "") -> None
     Raises:
         ImportError: matplotlib is not installed.
     """
-    write_whole(path, png(figure_fit(fit, title)))
+    write_picture(path, figure_fit(fit, title))
 
 
 def _samples(fit: Estimates, number: int) -> Iterator[Samples]:

@@ -6,10 +6,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..studies.timing import Measured
 from ..studies.work_precision import WorkPrecision
-from .plot_style import BLUE, BROWN, GREEN, INK, PURPLE, RED, dress, new_figure, png
+from .plot_style import (
+    BLUE,
+    BROWN,
+    GREEN,
+    INK,
+    PURPLE,
+    RED,
+    dress,
+    new_figure,
+    write_picture,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,11 +112,11 @@ def _dashes(row: Measured, others: list[tuple[str, str, str]]) -> Any:
 def plot_work_precision(
     work: WorkPrecision, path: str | PathLike[str], title: str = ""
 ) -> None:
-    """Write the picture as a PNG file.
+    """Write the picture as a PNG, SVG or PDF file.
 
     Args:
         work: The measurements.
         path: File to write, whole or not at all.
         title: Above the figure.
     """
-    write_whole(path, png(figure_work_precision(work, title)))
+    write_picture(path, figure_work_precision(work, title))

@@ -5,9 +5,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..identification.sensitivity import Sensitivity
-from .plot_style import BLUE, BROWN, GREEN, INK, PURPLE, RED, dress, new_figure, png
+from .plot_style import (
+    BLUE,
+    BROWN,
+    GREEN,
+    INK,
+    PURPLE,
+    RED,
+    dress,
+    new_figure,
+    write_picture,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,5 +62,5 @@ def plot_sensitivity(
                 panel.set_xlabel("time [s]")
     if path is None:
         return figure
-    write_whole(path, png(figure))
+    write_picture(path, figure)
     return None

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..uncertainty.result import MonteCarlo
 from ..validation.checks import FieldError
 from .plot_ensemble import quantiles
-from .plot_style import BLUE, INK, RED, dress, limits, new_figure, png
+from .plot_style import BLUE, INK, RED, dress, limits, new_figure, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,7 +63,7 @@ def figure_study(study: MonteCarlo, title: str = "") -> "Figure":
 def plot_study(
     study: MonteCarlo, path: str | os.PathLike[str], title: str = ""
 ) -> None:
-    """Write :func:`figure_study` as a PNG file, whole or not at all.
+    """Write :func:`figure_study` as a PNG, SVG or PDF file, whole or not at all.
 
     Args:
         study: What to draw.
@@ -76,7 +75,7 @@ def plot_study(
         FieldError: there is nothing to draw.
         OSError: the file cannot be written.
     """
-    write_whole(path, png(figure_study(study, title)))
+    write_picture(path, figure_study(study, title))
 
 
 def _panels(study: MonteCarlo) -> list[Callable[["Axes"], None]]:

@@ -1,9 +1,14 @@
-"""How all pictures look: colours, panels, ranges, and the way to a PNG."""
+"""How all pictures look: colours, panels, ranges, and the way to a file."""
 
 import io
-from typing import TYPE_CHECKING
+from os import PathLike
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from ..files.atomic_file import write_whole
+from ..files.file_endings import PICTURES, ending, wrong_ending
+from ..validation.checks import FieldError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +50,28 @@ def png(figure: "Figure", dpi: int = DPI) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=dpi)
     return picture.getvalue()
+
+
+def write_picture(path: str | PathLike[str], figure: "Figure") -> None:
+    """Write a figure, whole or not at all: PNG, SVG or PDF, as the file's ending says.
+
+    Args:
+        path: Ends in .png, .svg or .pdf; its folder must exist.
+        figure: What to write.
+
+    Raises:
+        FieldError: another ending, or none.
+        OSError: the file cannot be written.
+    """
+    wrong = wrong_ending(path, PICTURES)
+    if wrong is not None:
+        raise FieldError("path", str(path), *wrong)
+    kind = ending(path)[1:]
+    # without the time of day, the same figure is the same file
+    dated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=DPI, metadata=dated.get(kind))
+    write_whole(path, picture.getvalue())
 
 
 def dress(panel: "Axes") -> None:

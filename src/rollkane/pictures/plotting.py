@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files.atomic_file import write_whole
 from ..geometry.surfaces import (
     AbstractSurface,
     Cone,
@@ -34,7 +33,7 @@ from .plot_style import (
     dress,
     limits,
     new_figure,
-    png,
+    write_picture,
 )
 
 if TYPE_CHECKING:
@@ -123,7 +122,7 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
 def plot_overview(
     trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
 ) -> None:
-    """Write :func:`figure_overview` as a PNG file, whole or not at all.
+    """Write :func:`figure_overview` as a PNG, SVG or PDF file, whole or not at all.
 
     Args:
         trajectory: One run, not a batch.
@@ -135,13 +134,13 @@ def plot_overview(
         FieldError: a batch.
         OSError: the file cannot be written.
     """
-    write_whole(path, png(figure_overview(trajectory, title)))
+    write_picture(path, figure_overview(trajectory, title))
 
 
 def plot_contact_path(
     trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
 ) -> None:
-    """Write :func:`figure_contact_path` as a PNG file, whole or not at all.
+    """Write :func:`figure_contact_path` as a PNG, SVG or PDF file, whole or not at all.
 
     Args:
         trajectory: One run, not a batch.
@@ -153,7 +152,7 @@ def plot_contact_path(
         FieldError: a batch.
         OSError: the file cannot be written.
     """
-    write_whole(path, png(figure_contact_path(trajectory, title)))
+    write_picture(path, figure_contact_path(trajectory, title))
 
 
 def _from_above(figure: "Figure", motion: MotionSamples, base: AbstractSurface) -> None:

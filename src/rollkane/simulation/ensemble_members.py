@@ -104,6 +104,10 @@ def members_of(
     Raises:
         FieldError: members that do not fit together, or none at all.
     """
+    if isinstance(starts, Scene) and not isinstance(scene, Scene):
+        remedy = "scene and starts are swapped: call ensemble(scene, starts, times)"
+        raise FieldError("ensemble.scene", scene, "must be a Scene", remedy)
+    scene, starts = _stacked("scene", scene, Scene), _stacked("starts", starts, State)
     scene_found = _axes_of("scene", scene, Scene, scene_axes)
     start_found = _axes_of("starts", starts, State, None)
     sizes = _sizes(scene, scene_found) | _sizes(starts, start_found)
@@ -116,6 +120,9 @@ def members_of(
         raise FieldError(
             "ensemble", sorted(sizes), "has members of several counts", remedy
         )
+    if sizes == {0}:
+        remedy = "give at least one start or scene"
+        raise FieldError("ensemble", 0, "has no members", remedy)
     if not sizes:
         raise FieldError(
             "ensemble.starts",
@@ -125,6 +132,31 @@ def members_of(
             "the member's number; a single motion is rollkane.simulate's",
         )
     return Members(sizes.pop(), scene, starts, scene_found, start_found)
+
+
+def _stacked(name: str, whole: Any, kind: type) -> Any:
+    """A list of scenes or states as one, with an axis of members in front."""
+    if not isinstance(whole, list | tuple):
+        return whole
+    each, field = cast("Sequence[Any]", whole), f"ensemble.{name}"
+    if not each:
+        remedy = f"give at least one {kind.__name__}"
+        raise FieldError(field, whole, "has no members", remedy)
+    form: Callable[[Any], Any] = lambda one: (
+        jax.tree.structure(one),
+        [jnp.shape(leaf) for leaf in jax.tree.leaves(one)],
+    )
+    for i, one in enumerate(each):
+        _check_kind(f"{field}[{i}]", one, kind)
+        if form(one) != form(each[0]):
+            raise FieldError(
+                f"{field}[{i}]",
+                one,
+                "is of another form than the first, so they cannot run side by side",
+                "let members differ in numbers only, or run an ensemble of each form",
+            )
+    stack = jnp.stack if is_traced(*each) else np.stack
+    return jax.tree.map(lambda *leaves: stack(leaves), *each)
 
 
 def _refuse_unclear(scene: Scene, axes: _Axes, sizes: set[int]) -> None:

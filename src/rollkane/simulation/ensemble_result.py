@@ -158,7 +158,7 @@ class Ensemble(AbstractMotion, eqx.Module):
         """Draw the ensemble (extra ``plot``).
 
         Args:
-            path: PNG file to write; None for none.
+            path: File to write, .png, .svg or .pdf; None for none.
             of: A quantity by its name, such as ``"position"`` or ``"energy"``; the name
                 of something observed; or a function of the scene, the time [s] and one
                 state.

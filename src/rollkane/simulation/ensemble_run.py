@@ -18,6 +18,7 @@ from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes, of
 from ..integration.backends import METHODS
+from ..integration.diffrax_checks import check_kinds
 from ..integration.event_search import Happened
 from ..integration.integrate import (
     checked_times,
@@ -87,6 +88,7 @@ class EnsembleRun:
             raise FieldError(
                 "ensemble.method", method, "is not known", f"use one of {METHODS}"
             )
+        check_kinds("ensemble", solver=solver)
         self.observe, self.modes = observe, modes
         self.keeps = observe is None
         if keep_states is not None:

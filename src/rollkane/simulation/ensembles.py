@@ -1,6 +1,6 @@
 """Many motions at once: in blocks, on all cores, in memory that is the block's."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import diffrax as dfx
@@ -16,8 +16,8 @@ from .motion import Observable
 
 
 def ensemble(
-    scene: Scene | Callable[[Array], Scene],
-    starts: State | Callable[[Array], State],
+    scene: Scene | Sequence[Scene] | Callable[[Array], Scene],
+    starts: State | Sequence[State] | Callable[[Array], State],
     times: Any,
     *,
     observe: Observable | None = None,
@@ -47,9 +47,9 @@ def ensemble(
     Args:
         scene: Scene; every number of it may have an axis of N members in front, as
             ``jax.vmap`` of a function that makes scenes gives it. Or such a function
-            of the member's number, called block by block.
-        starts: States, from ``jax.vmap`` of :func:`rollkane.place`, or a function of
-            the member's number; a single one is shared by all.
+            of the member's number, called block by block; or a list of scenes.
+        starts: States, from ``jax.vmap`` of :func:`rollkane.place`, a list of them, or
+            a function of the member's number; a single one is shared by all.
         times: Output times [s], shape (T,), T >= 2, those of all members; only the
             first and the last where no more is wanted.
         observe: ``observe(scene, t, state)`` -> tree of arrays, kept at the times
@@ -88,8 +88,8 @@ def ensemble(
 
 
 def ensemble_blocks(
-    scene: Scene | Callable[[Array], Scene],
-    starts: State | Callable[[Array], State],
+    scene: Scene | Sequence[Scene] | Callable[[Array], Scene],
+    starts: State | Sequence[State] | Callable[[Array], State],
     times: Any,
     **options: Any,
 ) -> Iterator[Ensemble]:

@@ -26,6 +26,7 @@ from ..dynamics.scene import Scene
 from ..hybrid.hybrid_run import HybridOutcome, integrate_modes
 from ..hybrid.modes import HybridScene, Modes, of
 from ..integration.backends import check_method, run_by, without_native
+from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import (
     Outcome,
     Problem,
@@ -46,7 +47,13 @@ from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
 from .event_record import events_in_modes, events_of, record_of
-from .run_checks import check_law, check_modes, check_span, check_start
+from .run_checks import (
+    check_law,
+    check_modes,
+    check_scene,
+    check_span,
+    check_start,
+)
 from .trajectory import Trajectory
 
 # what the loop in C does not have
@@ -139,20 +146,25 @@ def simulate(
         FieldError: times that are not increasing, tolerances out of range, unknown
             names, a start that does not belong to the scene.
     """
+    check_scene("simulate", scene, start)
     _check_names(formulation, coordinates)
     check_method(method)
+    parts = {
+        "stepsize_controller": stepsize_controller,
+        "adjoint": adjoint,
+        "saveat": saveat,
+        "progress_meter": progress_meter,
+    }
+    check_kinds("simulate", solver=solver, **parts)
     check_law(scene, formulation, coordinates)
     if isinstance(solver, KeepingEnergy):
         check_keeps_energy("simulate.scene", scene)
     options = {
         "formulation": formulation != "rolling",
         "coordinates": coordinates != "pole-free",
-        "stepsize_controller": stepsize_controller is not None,
-        "adjoint": adjoint is not None,
-        "saveat": saveat is not None,
         "dt0": dt0 is not None,
-        "progress_meter": progress_meter is not None,
     }
+    options |= {name: part is not None for name, part in parts.items()}
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
     if modes is not None:
         _refuse("modes", options)

@@ -13,6 +13,23 @@ from ..kinematics.voronets import VoronetsState
 from ..validation.checks import FieldError, is_traced
 
 
+def check_scene(function: str, scene: object, start: object) -> None:
+    """Refuse what is no scene, and say so where scene and start are swapped.
+
+    Args:
+        function: Whose first two arguments they are, for the error.
+        scene: The first.
+        start: The second.
+    """
+    if isinstance(scene, Scene):
+        return
+    remedy = "give the Scene first, then the start"
+    if isinstance(start, Scene):
+        remedy = f"scene and start are swapped: call {function}(scene, start, ...)"
+    kind = f"must be a Scene, not a {type(scene).__name__}"
+    raise FieldError(f"{function}.scene", scene, kind, remedy)
+
+
 def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
     """The paper's equations and coordinates are those of rolling alone."""
     alone = type(scene.contact) is Rolling and not has_margin(scene)

@@ -107,7 +107,7 @@ class Trajectory(AbstractMotion):
         """Spin, tilt, energy error and normal force against time (extra ``plot``).
 
         Args:
-            path: PNG file to write; None for none.
+            path: File to write, .png, .svg or .pdf; None for none.
             title: Above the figure.
 
         Returns:

@@ -110,7 +110,7 @@ class Branch:
         )
 
     def plot(self, path: str | PathLike[str], show: str | None = None) -> None:
-        """Write the diagram as a PNG (extra ``plot``).
+        """Write the diagram as a PNG, SVG or PDF (extra ``plot``).
 
         Args:
             path: File to write.

@@ -99,7 +99,7 @@ class WorkPrecision:
         """Draw error and energy error against time (extra ``plot``).
 
         Args:
-            path: PNG file to write.
+            path: File to write, .png, .svg or .pdf.
             title: Above the figure; the scene's name by default.
 
         Raises:

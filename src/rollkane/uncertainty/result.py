@@ -213,7 +213,7 @@ class MonteCarlo:
         """Histograms, probabilities with their intervals, series as fans.
 
         Args:
-            path: PNG file to write; None for none.
+            path: File to write, .png, .svg or .pdf; None for none.
             title: Above the figure.
 
         Returns:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from ..dynamics.events import known_event
 from ..hybrid.modes import Modes
 from ..integration.backends import METHODS
+from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import checked_times
 from ..validation.checks import FieldError
 from ..validation.codes import Code
@@ -83,6 +84,7 @@ class Study:
         if method not in METHODS:
             remedy = f"use one of {METHODS}"
             raise FieldError("Study.method", method, "is not known", remedy)
+        check_kinds("Study", solver=solver)
         self.options: dict[str, Any] = {
             "rtol": rtol,
             "atol": atol,

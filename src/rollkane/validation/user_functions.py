@@ -195,8 +195,7 @@ class GivenFunction(eqx.Module):
             problem = f"cannot be traced by JAX ({error})"
             raise FieldError(field, function, problem, remedy) from error
         if shape is not None and getattr(value, "shape", None) != shape:
-            found = jax.tree.map(jnp.shape, value)
-            raise FieldError(field, function, f"returns shape {found}", remedy)
+            raise FieldError(field, function, f"returns {_form(value)}", remedy)
         if is_traced(*program.consts):
             # a closure would hide a traced number from differentiation
             closed = functools.partial(call, function)
@@ -269,9 +268,20 @@ def check_output(
         raise FieldError(
             field, function, f"cannot be traced by JAX ({error})", remedy
         ) from error
-    found = getattr(result, "shape", None)
-    if found != shape:
-        raise FieldError(field, function, f"returns shape {found}", remedy)
+    if getattr(result, "shape", None) != shape:
+        if not shape:
+            remedy = "let it return one number alone, by jax.numpy operations"
+        raise FieldError(field, function, f"returns {_form(result)}", remedy)
+
+
+def _form(value: Any) -> str:
+    """What a user's function returned instead of one array, in words."""
+    if hasattr(value, "shape"):
+        return f"shape {value.shape}"
+    kind = type(value).__name__
+    if isinstance(value, list | tuple):
+        return f"a {kind} of {len(cast('list[Any]', value))} values"
+    return f"a {kind}"
 
 
 def check_rotation(

@@ -1,0 +1,145 @@
+"""Mistakes of a first evening: each is refused with the way out of it."""
+
+import diffrax as dfx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+
+LEVEL, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+TIMES = [0.0, 0.1]
+BALL = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+SCENE = rk.Scene(BALL)
+
+
+def placed(turn=1.0, scene=SCENE):
+    return rk.place(scene, LEVEL, (0.0, turn, 0.0), STILL)
+
+
+START = placed()
+
+
+def empty(tree):
+    return jax.tree.map(lambda x: jnp.zeros((0, *x.shape), x.dtype), tree)
+
+
+REFUSED = {
+    "scene and start swapped": (
+        lambda: rk.simulate(START, SCENE, TIMES),
+        "simulate.scene",
+        r"swapped: call simulate\(scene, start, ...\)",
+    ),
+    "swapped in an ensemble": (
+        lambda: rk.ensemble([START], SCENE, TIMES),
+        "ensemble.scene",
+        "swapped: call ensemble",
+    ),
+    "no scene at all": (
+        lambda: rk.simulate(BALL, START, TIMES),
+        "simulate.scene",
+        "not a Body.*give the Scene first",
+    ),
+    "a body placed without its scene": (
+        lambda: rk.place(BALL, LEVEL, STILL, STILL),
+        "place.scene",
+        r"not a Body.*call place\(scene",
+    ),
+    "a solver's name": (
+        lambda: rk.simulate(SCENE, START, TIMES, solver="Dopri8"),
+        "simulate.solver",
+        r"solver=diffrax\.Dopri8\(",
+    ),
+    "a solver's class": (
+        lambda: rk.ensemble(SCENE, [START], TIMES, solver=dfx.Tsit5),
+        "ensemble.solver",
+        r"solver=diffrax\.Tsit5\(",
+    ),
+    "a solver of another name": (
+        lambda: rk.simulate(SCENE, START, TIMES, solver="rk45 "),
+        "simulate.solver",
+        r"'rk45 '.*diffrax\.Dopri8\(",
+    ),
+    "a solver for its energy": (
+        lambda: rk.keeping_energy(SCENE, solver="Tsit5"),
+        "keeping_energy.solver",
+        "diffrax.Tsit5",
+    ),
+    "another of diffrax's parts by its name": (
+        lambda: rk.simulate(SCENE, START, TIMES, adjoint="BacksolveAdjoint"),
+        "simulate.adjoint",
+        r"adjoint=diffrax\.BacksolveAdjoint\(",
+    ),
+    "no members": (
+        lambda: rk.ensemble(SCENE, empty(START), TIMES),
+        "ensemble",
+        "has no members.*give at least one",
+    ),
+    "an empty list": (
+        lambda: rk.ensemble(SCENE, [], TIMES),
+        "ensemble.starts",
+        "has no members.*give at least one",
+    ),
+    "something else in a list": (
+        lambda: rk.ensemble(SCENE, [START, LEVEL], TIMES),
+        "ensemble.starts[1]",
+        "is no State",
+    ),
+    "scenes of two forms": (
+        lambda: rk.ensemble([SCENE, rk.Scene(BALL, loads=())], START, TIMES),
+        "ensemble.scene[1]",
+        "another form than the first.*ensemble of each form",
+    ),
+    "a graph that returns a pair": (
+        lambda: rk.Graph(lambda x, y: (x, y)),
+        "Graph.f",
+        "returns a tuple of 2 values.*return one number alone",
+    ),
+    "a surface that returns a tuple": (
+        lambda: rk.Parametric(lambda u, v: (u, v, 0.0 * u)),
+        "Parametric.position",
+        r"returns a tuple of 3 values.*array of shape \(3,\)",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_refused_with_a_remedy(name):
+    act, field, says = REFUSED[name]
+    with pytest.raises(rk.FieldError, match="(?s)" + says) as caught:
+        act()
+    assert caught.value.field == field
+
+
+def test_a_place_off_the_base_is_told_as_it_was_written():
+    """Was: as rounded to float32, 0.20000000298023224."""
+    parts = jax.tree.map(lambda x: x.astype(jnp.float32), SCENE)
+    with pytest.raises(rk.FieldError, match=r"got \(0.3, 0, 0.2\)"):
+        rk.place(parts, LEVEL, STILL, (0.3, 0, 0.2))
+
+
+def test_lists_are_stacked():
+    """A list of states, or of scenes, is what stacking them by hand gives, exactly."""
+    starts = [placed(1.0), placed(2.0)]
+    by_hand = jax.tree.map(lambda *x: jnp.stack(x), *starts)
+    listed, stacked = (rk.ensemble(SCENE, some, TIMES) for some in (starts, by_hand))
+    assert len(np.unique(listed.final.position[:, 0])) == 2
+    assert np.array_equal(listed.final.position, stacked.final.position)
+    heavy = rk.Body(2.0, 0.02 * np.eye(3), rk.Sphere(0.1), (0.0, 0.0, -0.05))
+    both = [SCENE, rk.Scene(heavy)]
+    runs = rk.ensemble(both, START, TIMES)
+    # either goes by its own steps of one tolerance, 1e-9, over 0.1 s
+    for i, scene in enumerate(both):
+        alone = rk.simulate(scene, START, TIMES).position[-1]
+        assert np.allclose(runs.final.position[i], alone, atol=1e-8, rtol=0.0)
+
+
+def test_a_list_of_states_is_followed_by_derivatives():
+    """x = r w t of a ball that rolls: dx/dw = r t = 0.01 m s/rad, to 1e-9 steps."""
+
+    def way(turn):
+        runs = rk.ensemble(SCENE, [placed(turn), START], TIMES)
+        return runs.final.position[0, 0]
+
+    assert np.isclose(jax.grad(way)(2.0), 0.01, atol=1e-9, rtol=0.0)
