@@ -2,7 +2,10 @@
 
 from . import kane as kane
 from .dynamics.bodies import Body as Body
+from .dynamics.equations import Equations as Equations
+from .dynamics.equations import equations_of_motion as equations_of_motion
 from .dynamics.events import Event as Event
+from .dynamics.feedback import with_feedback as with_feedback
 from .dynamics.friction import CoulombFriction as CoulombFriction
 from .dynamics.friction import StribeckFriction as StribeckFriction
 from .dynamics.friction import ViscousFriction as ViscousFriction

@@ -88,6 +88,15 @@ class AbstractRollingPart(AbstractSupported):
         """The ``Scene`` of the pair alone."""
 
     @abc.abstractmethod
+    def velocities(self, t: Array, state: State) -> list[Array]:
+        """Its quasi-velocities, and those of what it carries.
+
+        Args:
+            t: Time [s].
+            state: Its own.
+        """
+
+    @abc.abstractmethod
     def rates(
         self, state: State, pairing: Pairing, accelerations: Sequence[Array]
     ) -> State:

@@ -27,6 +27,7 @@ class AbstractLoad(eqx.Module):
     """A load; the kinds override what they are."""
 
     is_fixed_in_space: ClassVar[bool] = False  # it depends on the place on fixed axes
+    needs_state: ClassVar[bool] = False  # it has generalized forces by the whole state
 
     @property
     def field(self) -> Float[Array, "3"] | None:
@@ -38,6 +39,11 @@ class AbstractLoad(eqx.Module):
     ) -> Wrench | None:
         """Force [N] and moment about the CONTACT POINT [N m], BODY axes; None: none."""
         del t, body, contact
+        return None
+
+    def generalized(self, t: Float[Array, ""], state: Any) -> Float[Array, " m"] | None:
+        """Generalized forces on all quasi-velocities, by the state; None: none."""
+        del t, state
         return None
 
     def moment_by_normal_force(self, contact: Contact) -> Float[Array, "3"] | None:

@@ -106,6 +106,10 @@ def assemble(
         own = supported.applied(t, alpha, alpha_dot, part.part.pairing)
         rows, right = _with_masses(rows, right, part, own)
         masses.append(part)
+    for load in scene.loads:
+        given = load.generalized(t, state)
+        if given is not None:
+            right = [a + b for a, b in zip(right, components(given), strict=True)]
     return System(rows, right, c, proper, force, tuple(masses))
 
 

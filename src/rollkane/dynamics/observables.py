@@ -16,6 +16,7 @@ from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
 from .contact_laws import accelerations, momentum_rate
+from .equations import quasi_velocities
 from .mass_matrix import Masses, assemble, field_of, times_lower
 from .rolling import contact_of, press_and_pull
 from .scene import Scene
@@ -254,6 +255,9 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
         if wrench is not None and stored is None:
             value = value + dot(w, wrench[1])
             value = value if j is None else value + dot(j, wrench[0])
+        given = load.generalized(t, state)
+        if given is not None:
+            value = value + dot(given, jnp.stack(quasi_velocities(scene, t, state)))
     first = 0
     rates = components(solution.alpha_ddot)
     listed = zip(scene.shares(state), system.masses, strict=True)

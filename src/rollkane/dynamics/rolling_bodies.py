@@ -13,9 +13,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix, tangent_pair
-from ..geometry.small_linear import dot, matmul, matvec, norm
+from ..geometry.small_linear import components, dot, matmul, matvec, norm
 from ..geometry.surfaces import AbstractSurface
-from ..kinematics.coordinates import State
+from ..kinematics.contact import Contact
+from ..kinematics.coordinates import SlidingState, State, shared_parts
 from ..validation.checks import FieldError, is_traced, real
 from ..validation.user_functions import GivenFunction, as_floats
 from .abstract_supported import (
@@ -165,12 +166,10 @@ class RollingBody(AbstractRollingPart):
             rotation, place = matmul(to_carrier, rotation), matvec(to_carrier, place)
         if self.position is not None:
             place = self.position + place
-        axes = tuple(jnp.eye(3, dtype=place.dtype))
-        turn_bias = None
+        axes, turn_bias = self._axes(contact), None
         if self.contact.without_spin:
             N, rate = contact.normal, contact.normal_rate
             assert rate is not None
-            axes = tangent_pair(N)
             turn_bias = -dot(contact.angular_velocity, rate) * N
         masses = sum(part.mass.shape[0] for part in parts)
         inner = tuple(part.pairing for part in parts if part.pairing is not None)
@@ -193,6 +192,28 @@ class RollingBody(AbstractRollingPart):
         parts = [_alone(self.body)]
         parts += [part.carried(t, *own) for part, *own in self.scene.shares(state)]
         return rolling_with(self.pairing(t, state, parts), parts)
+
+    def velocities(self, t: Array, state: State) -> list[Array]:
+        """Its quasi-velocities, and those of what it carries.
+
+        Args:
+            t: Time [s].
+            state: Its own.
+        """
+        contact = contact_of(self.scene, t, state)
+        u = contact.angular_velocity
+        found = [dot(e, u) for e in self._axes(contact)]
+        found += components(state.alpha_dot)
+        bodies = rolling_parts(self.supported)
+        for part, own in zip(bodies, state.supported, strict=True):
+            found += part.velocities(t, own)
+        return found
+
+    def _axes(self, contact: Contact) -> tuple[Array, ...]:
+        """Along which its relative angular velocity may be, its own axes."""
+        if self.contact.without_spin:
+            return tangent_pair(contact.normal)
+        return tuple(jnp.eye(3, dtype=contact.normal.dtype))
 
     def rates(
         self, state: State, pairing: Pairing, accelerations: Sequence[Array]
@@ -278,10 +299,10 @@ class RollingBody(AbstractRollingPart):
 
 
 def example_state(scene: Scene) -> State:
-    """A state of the right shapes for a scene that rolls, of no meaning."""
+    """A state of the right shapes for a scene in contact, of no meaning."""
     n = scene.coordinate_count
     body = scene.body.surface.coordinate_count
-    return State(
+    state = State(
         orientation=jnp.eye(4)[0],
         angular_velocity=jnp.zeros(3),
         contact_on_base=jnp.zeros(scene.base.surface.coordinate_count),
@@ -290,6 +311,9 @@ def example_state(scene: Scene) -> State:
         alpha_dot=jnp.zeros(n),
         supported=tuple(example_state(p.scene) for p in rolling_parts(scene.supported)),
     )
+    if scene.contact.slips:
+        return SlidingState(**shared_parts(state), slip=jnp.zeros(3))
+    return state
 
 
 def _alone(body: Body) -> Carried:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import refuse_rolling_parts
+from ..dynamics.equations import refuse_feedback
 from ..dynamics.loads import AbstractLoad
 from ..dynamics.mass_matrix import field_of
 from ..dynamics.rolling import contact_of
@@ -54,6 +55,7 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
             "give a scene with contact=Rolling(), or write its system down",
         )
     refuse_rolling_parts("rolling_system.scene", scene.supported)
+    refuse_feedback("rolling_system.scene", scene)
     count = scene.coordinate_count
     shared = _Shared(_places(like), reactions)
     parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import refuse_rolling_parts
+from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
 from ..geometry.rotations import quaternion_of
@@ -35,6 +36,7 @@ def to_voronets(
             surface does not reach, or at whose edge it lies.
     """
     refuse_rolling_parts("to_voronets.scene", scene.supported)
+    refuse_feedback("to_voronets.scene", scene)
     if sign not in (-1, 1):
         raise FieldError("to_voronets.sign", sign, "must be -1 or +1", "give -1")
     time = jnp.asarray(time, state.angular_velocity.dtype)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import shares
 from ..dynamics.bodies import inertia_about
+from ..dynamics.equations import refuse_feedback
 from ..dynamics.mass_matrix import field_of
 from ..dynamics.scene import Scene
 from ..dynamics.supported import total
@@ -196,6 +197,7 @@ def applied(
     if g is not None:
         c = body.center_of_mass - contact.body_point
         moment = cross(c, body.mass * g)
+    refuse_feedback("euler_lagrange_derivative.scene", scene)
     for load in scene.loads:
         wrench = load.wrench(t, body, contact)
         moment = moment if wrench is None else moment + wrench[1]

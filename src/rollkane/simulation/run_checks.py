@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..dynamics.abstract_supported import refuse_rolling_parts, rolling_parts
+from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
 from ..hybrid.modes import Modes
@@ -46,6 +47,7 @@ def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
             )
         if value != general:
             refuse_rolling_parts(field, scene.supported)
+            refuse_feedback(field, scene)
 
 
 def check_modes(scene: Scene, start: object, modes: object) -> None:
