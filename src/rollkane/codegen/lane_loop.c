@@ -25,7 +25,7 @@ typedef struct {
     const real *first_steps; /* [count] */
     const real *ends, *begins;
     const int64_t *slots;    /* [stops] */
-    real time, rtol, dtmin, sense; /* 1, or -1 where time runs backwards */
+    real time, rtol, dtmin, dtmax, sense; /* 1, or -1 where time runs backwards */
     int64_t max_steps;
 } Queue;
 
@@ -216,7 +216,9 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
         a->motion[l] = *ahead < q->count ? (*ahead)++ : -1;
         const long next = a->motion[l];
         if (next < 0) return 0;
-        LANE(a->t, l) = q->time, LANE(a->wanted, l) = q->first_steps[next];
+        const real first = q->first_steps[next];
+        LANE(a->t, l) = q->time;
+        LANE(a->wanted, l) = first < q->dtmax ? first : q->dtmax;
         for (int c = 0; c < N; c++) {
             LANE(a->y[c], l) = q->starts[next * N + c];
             LANE(a->atol[c], l) = q->atol[next * N + c];
@@ -312,7 +314,7 @@ int64_t integrate(const Queue *q, const Results *out) {
             const row least = choose_row(kept, splat(1), splat((real)0.2));
             const row most = choose_row(kept, splat(10), splat((real)0.9));
             factor = min_row(max_row(factor, least), most);
-            row dt = h * factor;
+            row dt = min_row(h * factor, splat(q->dtmax));
 #if EVENTS /* a step that ends on one may be as short as it has to be */
             mask small = not_row(good) & (h * (real)0.2 < q->dtmin);
             for (int e = 0; e < EVENTS; e++) small |= a.value[e] != a.value[e];

@@ -194,7 +194,8 @@ class LaneLoop:
         asked = _queue_type(self._real)(
             *(count, stops.outputs, len(slots)),
             *(x.ctypes.data for x in (*reals, slots)),
-            *(queue.time, queue.rtol, queue.dtmin, queue.sense, queue.max_steps),
+            *(queue.time, queue.rtol, queue.dtmin, math.inf, queue.sense),
+            queue.max_steps,
         )
         arrays = [*results[:6], results.moments, results.numbers]
         filled = [x.ctypes.data for x in arrays if x is not None]
@@ -210,6 +211,6 @@ def _queue_type(real: Any) -> Any:
         (name, ctypes.c_long) for name in ("count", "outputs", "stops")
     ]
     fields += [(f"array_{i}", ctypes.c_void_p) for i in range(8)]
-    fields += [(name, real) for name in ("time", "rtol", "dtmin", "sense")]
+    fields += [(name, real) for name in ("time", "rtol", "dtmin", "dtmax", "sense")]
     fields.append(("max_steps", ctypes.c_int64))
     return type("Queue", (ctypes.Structure,), {"_fields_": fields})

@@ -23,6 +23,7 @@ static Queue queue_of(const Call *call, long b, long count) {
         .sense = numbers[1],
         .rtol = numbers[2],
         .dtmin = numbers[3],
+        .dtmax = numbers[5],
         .max_steps = (int64_t)numbers[4],
     };
 }

@@ -29,6 +29,7 @@ class Course(NamedTuple):
         rtol: Relative tolerance of a step [1].
         atol: Absolute tolerance of each number, shape (n,).
         dtmin: Least step [s].
+        longest: Longest step [s].
         first_step: [s].
         ends: Where steps have to end [s], in order, shape (k,); infinite behind the
             last.
@@ -41,6 +42,7 @@ class Course(NamedTuple):
     rtol: Array
     atol: Float[Array, " n"]
     dtmin: Array
+    longest: Array
     first_step: Array
     ends: Float[Array, " k"]
     begins: Float[Array, " k"]
@@ -160,7 +162,7 @@ class RunLoop:
         """Integrate a start, with this many steps at most, rejected ones too."""
         dtype = y.dtype
         numbers = course.time * course.sense, course.sense, course.rtol, course.dtmin
-        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype)])
+        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype), course.longest])
         alone = functools.partial(self._alone, most)
         call = jax.custom_batching.custom_vmap(alone)
 

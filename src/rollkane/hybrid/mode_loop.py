@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..dynamics.directed_friction import begins
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
+from ..integration.longest_step import LEAST_STEPS
 from ..integration.step_control import first_step
 from ..kinematics.coordinates import pack
 from ..validation.codes import Code
@@ -96,7 +97,7 @@ class Loop(Trials):
             path = path._replace(reached=reached)
         run = Run(
             place=picked(accept, following, at),
-            step=verdict.step,
+            step=self._bounded(verdict.step, record),
             values=picked(accept, values, c.values),
             searching=verdict.searching,
             bracket=verdict.bracket,
@@ -110,6 +111,14 @@ class Loop(Trials):
             watched=watched,
         )
         return run if look is None else self.judged_again(c, tried, look, run)
+
+    def _bounded(
+        self, step: Float[Array, ""], record: Record | None
+    ) -> Float[Array, ""]:
+        """A step of a run that is differentiated is a share of the whole at most."""
+        if record is None:
+            return step
+        return jnp.minimum(step, jnp.abs(self.times[-1] - self.times[0]) / LEAST_STEPS)
 
     def looks_for_events(
         self, c: Run, tried: Tried, accept: Bool[Array, ""]
@@ -211,16 +220,17 @@ class Loop(Trials):
             watched = Watched.begun(self.events, self.motion, begun)
             places = with_places(self.times, layout_of(self.events).capacity)
         zero = jnp.zeros_like(t)
+        record = Record.empty(recorded, begun, switches) if recorded else None
         return Run(
             place=begun,
-            step=first_step(y.angular_velocity, span),
+            step=self._bounded(first_step(y.angular_velocity, span), record),
             values=jnp.full(2, jnp.nan, t.dtype),
             searching=jnp.asarray(False),
             bracket=Bracket(*(zero for _ in Bracket._fields)),
             cuts=whole,
             landing=self.landings.following(t),
             path=Path.empty(begun.moded, places, switches),
-            record=Record.empty(recorded, begun, switches) if recorded else None,
+            record=record,
             accepted=whole,
             tried=whole,
             code=whole,

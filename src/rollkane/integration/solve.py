@@ -16,6 +16,7 @@ from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
 from .diffrax_checks import checked_before
 from .event_search import Happened, layout_of, values_of
+from .longest_step import longest_step
 from .plans import (
     RECORDED_STEPS,
     UNRECORDED_STEPS,
@@ -77,11 +78,12 @@ def _by_diffrax(
 ) -> tuple[Solution, Record | None]:
     model, y0, times, rtol, atol, _, events, *_ = inputs
     t0, t1 = times[0], times[-1]
+    recording = replay is None and adjoint is not None and plan.adjoint is None
     if replay is not None:
         jumps = landings_of(model, times, plan).jumps
         controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
     else:
-        controller = _chooser(plan, like, inputs)
+        controller = _chooser(plan, rates, like, inputs, recording)
     # they have their own first step, and refuse another
     stepped = isinstance(controller, (dfx.StepTo, ReplaySteps))
     dt0 = (
@@ -89,7 +91,6 @@ def _by_diffrax(
         if stepped
         else jnp.where(t1 < t0, -1.0, 1.0) * _first_step(plan, like, inputs)
     )
-    recording = replay is None and adjoint is not None and plan.adjoint is None
     watches = bool(events) and replay is None
     max_steps = plan.max_steps
     if max_steps is None:
@@ -158,13 +159,14 @@ def _saved(
 
 
 def _chooser(
-    plan: Plan, like: Any, inputs: Inputs
+    plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> dfx.AbstractStepSizeController[Any, Any]:
     """What chooses the steps, refuses some, and ends some on events."""
     model, _, times, rtol, atol, _, events, *_ = inputs
     controller = plan.controller
     if controller is None:
-        controller = _landing(model, times, rtol, atol, plan, bool(events))
+        options = rtol, atol, _longest(plan, rates, inputs, recording)
+        controller = _landing(model, times, options, plan, bool(events))
     holds = _holds(plan, model, like)
     if holds is not None:
         controller = refusing(controller, holds)
@@ -207,6 +209,18 @@ def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
     return jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
 
 
+def _longest(
+    plan: Plan, rates: Rates, inputs: Inputs, recording: bool
+) -> Float[Array, ""] | None:
+    """Longest step of a run that is differentiated [s]; None: of any other."""
+    if not recording or plan.controller is not None:
+        return None
+    model, y0, times, rtol, *_ = inputs
+    order = plan.solver.order(dfx.ODETerm(cast(Any, rates)))
+    span = times[-1] - times[0]
+    return longest_step(rates, model, times[0], y0, span, rtol, order or 1)
+
+
 def _natively(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> tuple[Solution, Record | None]:
@@ -233,12 +247,14 @@ def _natively(
     )
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     where = landings_of(model, times, plan)
+    longest = _longest(plan, rates, inputs, recording)
     course = Course(
         time=times[0],
         sense=sense,
         rtol=rtol,
         atol=atol,
         dtmin=_least_step(times),
+        longest=jnp.asarray(jnp.inf if longest is None else longest, times.dtype),
         first_step=_first_step(plan, like, inputs),
         ends=sense * where.ends,
         begins=sense * where.starts,
@@ -307,17 +323,20 @@ def plain(plan: Plan, times: Float[Array, " T"]) -> bool:
 def _landing(
     model: Any,
     times: Float[Array, " T"],
-    rtol: Array,
-    atol: Array,
+    options: tuple[Array, Array, Array | None],
     plan: Plan,
     watched: bool,
 ) -> dfx.AbstractStepSizeController[Any, Any]:
     """Adaptive steps that end on outputs and on corners of the right-hand side.
 
-    ``watched``: some are to end on events as well, however short they are then.
+    ``options``: tolerances, and the longest step [s]; ``watched``: some are to end on
+    events as well, however short they are then.
     """
     dtmin = None if watched else _least_step(times)
-    controller = dfx.PIDController(rtol=rtol, atol=atol, dtmin=dtmin, force_dtmin=False)
+    rtol, atol, dtmax = options
+    controller = dfx.PIDController(
+        rtol=rtol, atol=atol, dtmin=dtmin, dtmax=dtmax, force_dtmin=False
+    )
     where = landings_of(model, times, plan)
     if where.ends.shape[0] == 1 and not watched:
         return controller
