@@ -111,6 +111,10 @@ def test_maps(a, b):
         with pytest.raises(rk.FieldError, match="fits the other surface"):
             rolled(a, b)
         return
+    if (a, b) == ("torus", "plane"):  # at a point of its inner half
+        with pytest.raises(rk.FieldError, match="a plane cannot touch"):
+            rolled(a, b)
+        return
     found = rolled(a, b)
     small = 1e-10  # 1e6 roundings: second derivatives, divided by small curvatures
     if "rim" not in (a, b):

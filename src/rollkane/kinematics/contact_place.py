@@ -73,7 +73,34 @@ def placed(
         q = real(f"{where}.orientation", orientation, (4,), "a quaternion")
         q, gap = aligned(a, b, q, on_a, on_b)
         q = _agreeing(where, q, gap)
+    if by_normal and not a.is_by_normal:
+        q = _reached(where, a, on_a, q)
     return q, on_b, on_a[:0] if by_normal else on_a
+
+
+def _reached(where: str, a: AbstractSurface, on_a: Array, q: Array) -> Array:
+    """The orientation, unless a plane cannot touch A at its given point."""
+    off = _off_plane(a, on_a)
+    if is_traced(off):
+        return spoilt(q, ~(off < _LOOSE))
+    if not float(off) < _LOOSE:
+        raise FieldError(
+            f"{where}.contact_on_a",
+            on_a,
+            "is where a plane cannot touch the surface",
+            "give a point of its outer half",
+        )
+    return q
+
+
+@eqx.filter_jit
+def _off_plane(a: AbstractSurface, on_a: Array) -> Array:
+    """How far a point is from that with its normal which planes touch, by its size."""
+    point = a.normal_map(True)
+    assert point is not None
+    here = a.geometry(on_a)
+    gap = jax.lax.stop_gradient(point(here.normal) - here.position)
+    return norm(gap) / norm(jax.lax.stop_gradient(here.position))
 
 
 def _agreeing(where: str, q: Array, gap: Array) -> Array:
