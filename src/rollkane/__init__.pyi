@@ -82,13 +82,17 @@ from .kinematics.base_motion import Spin as Spin
 from .kinematics.coordinates import FlyingState as FlyingState
 from .kinematics.coordinates import SlidingState as SlidingState
 from .kinematics.coordinates import State as State
+from .kinematics.montana import rolling_along as rolling_along
+from .kinematics.montana import rolling_kinematics as rolling_kinematics
 from .kinematics.recorded_motion import RecordedMotion as RecordedMotion
+from .kinematics.rolling_pair import RollingKinematics as RollingKinematics
 from .kinematics.voronets import VoronetsState as VoronetsState
 from .paper.conversions import to_pole_free as to_pole_free
 from .paper.conversions import to_voronets as to_voronets
 from .paper.euler_lagrange import euler_lagrange_derivative as euler_lagrange_derivative
 from .paper.quasi_velocities import PaperQuantities as PaperQuantities
 from .paper.quasi_velocities import paper_quantities as paper_quantities
+from .simulation.contact_paths import rolling_path as rolling_path
 from .simulation.ensembles import Ensemble as Ensemble
 from .simulation.ensembles import ensemble as ensemble
 from .simulation.ensembles import ensemble_blocks as ensemble_blocks

@@ -156,7 +156,11 @@ NAMES = {
     "monte_carlo",
     "read_study",
     "place",
+    "rolling_along",
     "rolling_derivative",
+    "rolling_kinematics",
+    "rolling_path",
+    "RollingKinematics",
     "simulate",
 }
 FIELDS = {

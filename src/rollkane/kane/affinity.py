@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
-from .equations import Velocities, values_of
+from .partial_velocities import Velocities, values_of
 from .system import KaneState, KaneSystem, RigidBody
 
 # A derivative is a sum of products: a hundred roundings of it are 2e-14, 1e-5 in single

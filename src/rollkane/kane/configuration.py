@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
-from .equations import Partials, evaluation, speeds_of
+from .equations import speeds_of
+from .partial_velocities import Partials, evaluation
 from .system import KaneState, KaneSystem
 
 # The end of a run is a start, too. Runs drift by less than three times their relative

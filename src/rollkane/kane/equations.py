@@ -6,8 +6,8 @@ functions share is traced twice, however many there are. Source: [B], (1) to
 (6); docs/theory.md, section 9.
 """
 
-from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple, TypeAlias, cast
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,17 @@ from jaxtyping import Array, Float
 
 from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
-from ..validation.user_functions import GivenFunction, as_time
-from .linear_solves import inverse_of, solved
+from ..validation.user_functions import as_time
+from .closure import kept_state
+from .linear_solves import followed, inverse_of, solved
+from .partial_velocities import (
+    Partials,
+    energy_of,
+    evaluation,
+    masses_of,
+    partials_of,
+    turning_parts,
+)
 from .system import KaneState, KaneSystem, Numbers, RigidBody
 
 
@@ -56,35 +65,6 @@ class Speeds(NamedTuple):
     u: Float[Array, " m"]
     T: Float[Array, "m i"]
     follow: Float[Array, "m c"]
-
-
-class Velocities(NamedTuple):
-    """Something for each of a system's functions that are affine in the speeds."""
-
-    points: list[Any]
-    turnings: list[Any]
-    on_loads: list[Any]
-    constraints: Any
-    kinematics: Any
-
-
-_Both: TypeAlias = tuple[Velocities, Velocities]
-
-
-class Partials(NamedTuple):
-    """Velocities at rest, and their derivatives by the speeds."""
-
-    at_rest: Velocities
-    by_speeds: Velocities
-
-    def at(self, name: str, u: Float[Array, " m"]) -> Any:
-        """Values of one kind at given speeds."""
-        rest, by_speeds = getattr(self.at_rest, name), getattr(self.by_speeds, name)
-
-        def moved(v: Array, V: Array) -> Array:
-            return v + V @ u
-
-        return jax.tree.map(moved, rest, by_speeds)
 
 
 class _Rates(NamedTuple):
@@ -166,7 +146,7 @@ def kinetic_energy(
         state: Coordinates and independent speeds.
     """
     partials = partials_of(system, as_time(t), state.q)
-    return _energy(system, partials, speeds_of(system, partials, state.u).u)
+    return energy_of(system, partials, speeds_of(system, partials, state.u).u)
 
 
 def all_speeds(
@@ -189,7 +169,8 @@ class Reduced(NamedTuple):
     """Equations of the independent speeds; ``u' = T u_i' + bias`` for all.
 
     ``with_auxiliary``: how all speeds move with each auxiliary one. ``partials``: what
-    all of it was made of.
+    all of it was made of. ``by_multipliers``: u_i' where multipliers act beside the
+    forcing; else None.
     """
 
     mass_matrix: Float[Array, "i i"]
@@ -200,14 +181,23 @@ class Reduced(NamedTuple):
     with_auxiliary: Float[Array, "m a"]
     of_all: KaneEquations
     partials: Partials
+    by_multipliers: Float[Array, " i"] | None = None
 
     def rates(self) -> KaneState:
         """Q' and u_i'."""
-        return KaneState(self.of_all.q_dot, solved(self.mass_matrix, self.forcing))
+        return KaneState(self.of_all.q_dot, self.u_dot)
+
+    @property
+    def u_dot(self) -> Float[Array, " i"]:
+        """Rates of the independent speeds."""
+        if self.by_multipliers is not None:
+            return self.by_multipliers
+        return solved(self.mass_matrix, self.forcing)
 
 
 def reduced(system: KaneSystem, t: Array, state: KaneState) -> Reduced:
-    """Equations of the independent speeds alone."""
+    """Equations of the independent speeds alone, where the configuration holds."""
+    state = kept_state(system, t, state)
     partials = partials_of(system, t, state.q)
     u, T, follow = speeds_of(system, partials, state.u)
     q_dot = partials.at("kinematics", u)
@@ -215,50 +205,20 @@ def reduced(system: KaneSystem, t: Array, state: KaneState) -> Reduced:
     of_all = _assembled(system, partials, rates, u, q_dot)
     M, forcing, bias = of_all.mass_matrix, of_all.forcing, jnp.zeros_like(u)
     lifted = _places(u.shape[0], range(system.speeds, u.shape[0]), u.dtype)
+    if rates.constraints is not None and system.by_multipliers:
+        m = system.speeds
+        free = jnp.eye(u.shape[0], m, dtype=u.dtype)
+        C = partials.by_speeds.constraints
+        along = solved(M[:m, :m], forcing[:m])
+        u_dot = along + follow[:m] @ (C[:, :m] @ along + rates.constraints)
+        lifted = lifted + follow @ (C @ lifted)
+        small = M[:m, :m], forcing[:m], u, free, bias, lifted, of_all, partials
+        return Reduced(*small, u_dot)
     if rates.constraints is not None:
         bias = follow @ rates.constraints
         forcing = forcing - M @ bias
         lifted = lifted + follow @ (partials.by_speeds.constraints @ lifted)
     return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, lifted, of_all, partials)
-
-
-def values_of(
-    system: KaneSystem, t: Array, q: Float[Array, " n"], u: Float[Array, " m"]
-) -> Velocities:
-    """Of every function that is affine in the speeds."""
-    functions = Velocities(
-        [part.velocity for part in system.parts],
-        [part.angular_velocity for part in _turning(system)],
-        [load.velocity for load in system.loads],
-        system.constraints,
-        system.kinematics,
-    )
-    alone: Callable[[Any], bool] = lambda x: isinstance(x, GivenFunction)
-    return jax.tree.map(evaluation(system, t, q, u), functions, is_leaf=alone)
-
-
-def evaluation(
-    system: KaneSystem, t: Array, q: Float[Array, " n"], u: Float[Array, " m"]
-) -> Callable[[GivenFunction | None], Any]:
-    """``of(f)``: what a function of the system's gives at a state; None of None.
-
-    What its functions share is computed once.
-    """
-    more = system.more(t, q, u)
-    return lambda f: None if f is None else f(t, q, u, more)
-
-
-def partials_of(system: KaneSystem, t: Array, q: Float[Array, " n"]) -> Partials:
-    """All partial velocities."""
-
-    def of_speeds(u: Array) -> tuple[Velocities, Velocities]:
-        values = values_of(system, t, q, u)
-        return values, values
-
-    rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
-    found = cast(_Both, jax.jacfwd(of_speeds, has_aux=True)(rest))
-    by_speeds, at_rest = found
-    return Partials(at_rest, by_speeds)
 
 
 def _rates(
@@ -272,7 +232,7 @@ def _rates(
         of = evaluation(system, t, q, u)
         velocities = (
             [of(part.velocity) for part in system.parts],
-            [of(part.angular_velocity) for part in _turning(system)],
+            [of(part.angular_velocity) for part in turning_parts(system)],
             of(system.constraints),
         )
         forces = [of(load.load) for load in system.loads]
@@ -292,6 +252,12 @@ def speeds_of(
     C = partials.by_speeds.constraints
     if C is None:
         return Speeds(u, free, jnp.zeros((size, 0), u.dtype))
+    if system.by_multipliers:
+        m = system.speeds
+        M = masses_of(system, partials)[:m, :m]
+        follow = -free @ followed(M, C[:, :m])
+        u = u + follow @ partials.at("constraints", u)
+        return Speeds(u, free + follow @ (C @ free), follow)
     bound = _places(size, system.dependent, u.dtype)
     follow = -bound @ inverse_of(C @ bound)
     u = u + follow @ partials.at("constraints", u)
@@ -334,7 +300,7 @@ def _assembled(
     q_dot: Float[Array, " n"],
 ) -> KaneEquations:
     """Mass matrix and forces from velocities, their derivatives, and loads."""
-    masses = jnp.zeros((u.shape[0], u.shape[0]), u.dtype)
+    masses = masses_of(system, partials)
     inertia_force = jnp.zeros_like(u)
     turned: list[Array] = partials.at("turnings", u)
     turnings = iter(
@@ -354,36 +320,15 @@ def _assembled(
     ):
         if isinstance(part, RigidBody):
             w, W, alpha = next(turnings)
-            I_W = part.inertia @ W
-            masses = masses + W.T @ I_W
             moment = part.inertia @ alpha + cross(w, part.inertia @ w)
             inertia_force = inertia_force + W.T @ moment
             if part.own_axes:
                 a = a + cross(w, v)
-        masses = masses + part.mass * (V.T @ V)
         inertia_force = inertia_force + part.mass * (V.T @ a)
     fr = jnp.zeros_like(u)
     for by_speeds, load in zip(partials.by_speeds.on_loads, rates.loads, strict=True):
         fr = fr + by_speeds.T @ load
     if rates.generalized is not None:
         fr = fr + rates.generalized
-    energy = _energy(system, partials, u)
+    energy = energy_of(system, partials, u)
     return KaneEquations(masses, fr - inertia_force, fr, q_dot, energy)
-
-
-def _energy(
-    system: KaneSystem, partials: Partials, u: Float[Array, " m"]
-) -> Float[Array, ""]:
-    """Kinetic energy [J]."""
-    twice = jnp.zeros((), u.dtype)
-    turnings = iter(partials.at("turnings", u))
-    for part, v in zip(system.parts, partials.at("points", u), strict=True):
-        twice = twice + part.mass * jnp.sum(v * v)
-        if isinstance(part, RigidBody):
-            w = next(turnings)
-            twice = twice + jnp.sum(w * (part.inertia @ w))
-    return 0.5 * twice
-
-
-def _turning(system: KaneSystem) -> list[RigidBody]:
-    return [part for part in system.parts if isinstance(part, RigidBody)]

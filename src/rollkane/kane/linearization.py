@@ -65,11 +65,20 @@ def linearize(
     Raises:
         FieldError: dependent ones among the chosen, or inputs without parameters; what
             ``simulate`` refuses of a start; dependent coordinates that the
-            configuration does not determine. Nothing is said of traced numbers.
+            configuration does not determine; constraints by multipliers. Nothing is
+            said of traced numbers.
 
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
     """
+    if system.by_multipliers:
+        raise FieldError(
+            "linearize.system",
+            system.speeds,
+            "has constraints that act by multipliers, so that none of its speeds is "
+            "chosen as dependent",
+            "name dependent speeds (of rolling contacts: RollingSystem.eliminated)",
+        )
     known = not is_traced(system, t, state)
     # by JAX a known time could be traced
     when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)

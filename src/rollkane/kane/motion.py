@@ -21,6 +21,7 @@ from ..integration.integrate import (
 from ..integration.projection import KeepingEnergy
 from ..validation.checks import FieldError
 from ..validation.codes import NO_FAULT, Code, Fields
+from .closure import kept_state
 from .equations import all_speeds, kane_derivative, kinetic_energy, reactions
 from .singular_states import refuse_start
 from .system import KaneState, KaneSystem
@@ -169,19 +170,30 @@ def simulate(
     )
     kind = "kane", type(solver)
     outcome, method, why = run_by(method, refusal, kind, (system, start), run)
+    state, final = outcome.state, outcome.final_state
+    if system.projection is not None:
+        state = _each(_kept_well, system, outcome.time, state)
+        final = _kept_well(system, outcome.final_time, final)
     return KaneTrajectory(
         time=outcome.time,
-        state=outcome.state,
+        state=state,
         system=system,
         code=outcome.code,
         final_time=outcome.final_time,
-        final_state=outcome.final_state,
+        final_state=final,
         steps=outcome.steps,
         rejected_steps=outcome.rejected_steps,
         fault=outcome.fault,
         method=method,
         why=why,
     )
+
+
+def _kept_well(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
+    """On the configuration, to rounding after a loose run, too."""
+    for _ in range(3):
+        state = kept_state(system, t, state)
+    return state
 
 
 def _sizes(state: KaneState) -> KaneState:
@@ -222,7 +234,7 @@ def _checked_start(system: KaneSystem, start: object) -> KaneState:
 
 
 @eqx.filter_jit
-def _each(observable: Any, system: KaneSystem, time: Array, state: KaneState) -> Array:
+def _each(observable: Any, system: KaneSystem, time: Array, state: KaneState) -> Any:
     mapped = jax.vmap(observable, in_axes=(None, 0, 0))
     for _ in range(state.q.ndim - 2):
         mapped = jax.vmap(mapped)

@@ -93,6 +93,10 @@ class KaneSystem(eqx.Module):
         dependent_coordinates: Which coordinates the configuration constraints do.
         auxiliary: How many speeds at the end are auxiliary: they are zero, and their
             equations give the reactions against them.
+        projection: Function of (t, q, u) -> (n,): the coordinates on the configuration
+            that are nearest to q; None: a motion's coordinates are not projected.
+        by_multipliers: Whether the constraints act by multipliers: no speeds are
+            chosen as dependent, and all are in the state.
         parameters: Numbers that the functions depend on.
         shared: What several functions need, evaluated once; None for none.
     """
@@ -103,6 +107,7 @@ class KaneSystem(eqx.Module):
     generalized_forces: GivenFunction | None
     constraints: GivenFunction | None
     configuration: GivenFunction | None
+    projection: GivenFunction | None
     parameters: Any
     shared: GivenFunction | None
     coordinates: int = eqx.field(static=True)
@@ -110,6 +115,7 @@ class KaneSystem(eqx.Module):
     dependent: tuple[int, ...] = eqx.field(static=True)
     dependent_coordinates: tuple[int, ...] = eqx.field(static=True)
     auxiliary: int = eqx.field(static=True)
+    by_multipliers: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -119,13 +125,14 @@ class KaneSystem(eqx.Module):
         parts: Iterable[Particle | RigidBody] = (),
         loads: Iterable[Load] = (),
         constraints: Motion | None = None,
-        dependent: Iterable[int] = (),
+        dependent: Iterable[int] | None = (),
         configuration: Motion | None = None,
         dependent_coordinates: Iterable[int] = (),
         auxiliary: int = 0,
         generalized_forces: Motion | None = None,
         parameters: Any = None,
         shared: Motion | None = None,
+        projection: Motion | None = None,
     ):
         """Make a system.
 
@@ -138,7 +145,10 @@ class KaneSystem(eqx.Module):
             loads: ``Load``: forces and torques that do work on some motion.
             constraints: ``constraints(t, q, u)`` -> what has to be zero, affine in u.
             dependent: Numbers of the speeds that the constraints determine, as many as
-                there are constraints.
+                there are constraints. None: none are chosen, and the constraints act
+                by multipliers, so that a motion may pass where a choice would fail; the
+                state then has all speeds, and the nearest that the constraints allow
+                (by their energy) are taken.
             configuration: ``configuration(t, q, u)`` -> what has to be zero, without
                 using u; its rate must be among the constraints. ``simulate`` and
                 ``linearize`` see to both.
@@ -154,6 +164,8 @@ class KaneSystem(eqx.Module):
             shared: Function of (t, q, u, parameters) -> what several of the others
                 need (rotations, a contact): evaluated once, and given to them in
                 place of the parameters.
+            projection: ``projection(t, q, u)`` -> the coordinates that fulfil the
+                configuration next to q; without using u, and q itself where q does.
 
         Raises:
             FieldError: shapes that do not fit, dependent speeds that are not there,
@@ -191,10 +203,17 @@ class KaneSystem(eqx.Module):
             self.generalized_forces = motion(
                 field, generalized_forces, example[2].shape
             )
-        self.dependent = _chosen("dependent", dependent, speeds)
-        self.constraints = _bound(
-            motion, "constraints", constraints, "dependent", self.dependent
-        )
+        self.by_multipliers = dependent is None
+        self.dependent = _chosen("dependent", dependent or (), speeds)
+        if constraints is not None and self.by_multipliers:
+            self.constraints = GivenFunction(
+                *("KaneSystem.constraints", constraints, None, example, more),
+                "(t, q, u)",
+            )
+        else:
+            self.constraints = _bound(
+                motion, "constraints", constraints, "dependent", self.dependent
+            )
         self.dependent_coordinates = _chosen(
             "dependent_coordinates", dependent_coordinates, coordinates
         )
@@ -205,6 +224,10 @@ class KaneSystem(eqx.Module):
             "dependent_coordinates",
             self.dependent_coordinates,
         )
+        self.projection = None
+        if projection is not None:
+            field = "KaneSystem.projection"
+            self.projection = motion(field, projection, (coordinates,))
         _refuse_speeds(self, configuration, *example)
 
     def more(self, t: Array, q: Array, u: Array) -> Any:

@@ -5,6 +5,7 @@ the surface. All vectors are on BODY axes unless said otherwise.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -172,9 +173,8 @@ def rolling_contact(
     rotation = rotation_matrix(orientation)
     to_base = body_to_base(rotation, moving)
     normal = -matvec_transposed(to_base, ground.frame[:, 2])
-    point = body.normal_map(base.is_flat)
     shell = None
-    if point is None:
+    if body.normal_map(base.is_flat) is None:
         shell = body.geometry(on_body)
         orientation, rotation = _aligned(orientation, rotation, shell, normal)
         to_base = body_to_base(rotation, moving)
@@ -189,36 +189,25 @@ def rolling_contact(
         leaving, spare_slip = _along(normal, slip)
         slip = slip - leaving
     turning = cross(normal, relative)
+    moved = rolled_over(body, base, shell, ground, to_base, normal, turning, slip)
     body_rates = on_body
     if shell is not None:
-        roll = rolling_unknowns(body, base)
-        velocity, x_body, x_base = roll(shell, ground, to_base, turning, slip)
-        body_point = shell.position
-        body_rates = _rates_on(body, on_body, shell, x_body)
-    elif base.is_flat:
-        assert point is not None
-        body_point, velocity = jax.jvp(point, (normal,), (turning,))
-        x_base = matvec(to_base[:2], along_base(slip, velocity))
-    else:
-        assert point is not None
-        pair = tangents_in_body(ground, to_base)
-        shell = from_normal(point, normal, pair)
-        body_point = shell.position
-        velocity, x_base = roll_by_normal(shell, ground, pair, turning, slip)
+        assert moved.x_body is not None
+        body_rates = rates_on(body, on_body, shell, moved.x_body)
     normal_rate = None
     if slip is not None or without_spin:
-        normal_rate = _normal_rate(ground, to_base, normal, base_turn, x_base)
+        normal_rate = _normal_rate(ground, to_base, normal, base_turn, moved.x_base)
     return Contact(
         orientation=orientation,
         rotation=rotation,
         to_base=to_base,
         angular_velocity=angular_velocity,
         normal=normal,
-        body_point=body_point,
+        body_point=moved.body_point,
         base_point=ground.position,
-        velocity=velocity,
+        velocity=moved.velocity,
         body_rates=body_rates,
-        base_rates=_rates_on(base, on_base, ground, x_base),
+        base_rates=rates_on(base, on_base, ground, moved.x_base),
         base=moving,
         base_angular_velocity=base_turn,
         slip=slip,
@@ -226,6 +215,64 @@ def rolling_contact(
         spare_spin=spare_spin,
         spare_slip=spare_slip,
     )
+
+
+class RolledOver(NamedTuple):
+    """How the contact of two surfaces moves, on BODY axes.
+
+    Attributes:
+        body_point: Contact point from the body origin [m], shape (3,).
+        velocity: Of the contact point along the body [m/s], shape (3,).
+        x_body: Local rates on the body [1/s], shape (2,); None where the normal
+            determines the point.
+        x_base: On the base [1/s], shape (2,).
+    """
+
+    body_point: Float[Array, "3"]
+    velocity: Float[Array, "3"]
+    x_body: Float[Array, "2"] | None
+    x_base: Float[Array, "2"]
+
+
+def rolled_over(
+    body: AbstractSurface,
+    base: AbstractSurface,
+    shell: LocalGeometry | None,
+    ground: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+    normal: Float[Array, "3"],
+    turning: Float[Array, "3"],
+    slip: Float[Array, "3"] | None = None,
+) -> RolledOver:
+    """How a contact moves, by what cannot vanish of its two surfaces.
+
+    Args:
+        body: Surface of the body.
+        base: Surface of the base.
+        shell: The body's geometry at the contact; None where the normal determines
+            the point.
+        ground: The base's geometry at the contact.
+        to_base: Body to base axes [1].
+        normal: Unit normal out of the body, body axes [1].
+        turning: ``N x Om``, body axes [rad/s].
+        slip: ``U``, body axes [m/s]; None: it rolls.
+
+    Source: docs/theory.md, (3.4), (3.5).
+    """
+    if shell is not None:
+        roll = rolling_unknowns(body, base)
+        found = roll(shell, ground, to_base, turning, slip)
+        return RolledOver(shell.position, *found)
+    point = body.normal_map(base.is_flat)
+    assert point is not None
+    if base.is_flat:
+        body_point, velocity = jax.jvp(point, (normal,), (turning,))
+        x_base = matvec(to_base[:2], along_base(slip, velocity))
+        return RolledOver(body_point, velocity, None, x_base)
+    pair = tangents_in_body(ground, to_base)
+    shell = from_normal(point, normal, pair)
+    velocity, x_base = roll_by_normal(shell, ground, pair, turning, slip)
+    return RolledOver(shell.position, velocity, None, x_base)
 
 
 def _along(
@@ -236,7 +283,7 @@ def _along(
     return normal * size, size
 
 
-def _rates_on(
+def rates_on(
     surface: AbstractSurface,
     u: Float[Array, " k"],
     geometry: LocalGeometry,
