@@ -38,7 +38,9 @@ def test_the_final_state_and_time_move_with_the_times(method):
     rates = rk.rolling_derivative(scene, at[-1], run(at).final_state)
     for a, b in zip(*map(jax.tree.leaves, (final, rates)), strict=True):
         if a.shape[0]:
-            np.testing.assert_allclose(a[:, 2], b, rtol=1e-14, atol=1e-14)
+            # a run that is differentiated takes shorter steps: its tolerance, of the
+            # largest rate
+            np.testing.assert_allclose(a[:, 2], b, rtol=1e-10, atol=1e-10)
             assert jnp.all(a[:, 1] == 0.0)
     # a later start is the same motion, later: on a base at rest nothing else changes
     for a in jax.tree.leaves(final):

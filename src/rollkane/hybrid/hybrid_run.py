@@ -61,7 +61,7 @@ class HybridOutcome(eqx.Module):
     @property
     def unknown(self) -> "HybridOutcome":
         """What of it has no derivative."""
-        return without_derivative(self, lambda s: (s.final_time, s.final_state))
+        return without_derivative(self, ("final_time", "final_state"))
 
 
 def integrate_modes(

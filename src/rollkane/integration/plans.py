@@ -1,5 +1,6 @@
 """What is integrated, how, and what comes out: the values that a solve works with."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
@@ -112,10 +113,10 @@ class Solution(eqx.Module):
     @property
     def unknown(self) -> "Solution":
         """What of it has no derivative."""
-        return without_derivative(self, lambda s: (s.final_time, s.final_y))
+        return without_derivative(self, ("final_time", "final_y"))
 
 
-def without_derivative(run: _Run, last: Callable[[_Run], Any]) -> _Run:
+def without_derivative(run: _Run, last: tuple[str, ...]) -> _Run:
     """What of a run's numbers has no derivative, as flags of their shapes.
 
     What was not reached; and where the run ended, if it stopped of itself: it does so
@@ -123,7 +124,7 @@ def without_derivative(run: _Run, last: Callable[[_Run], Any]) -> _Run:
 
     Args:
         run: What came out of it, with its ``code``.
-        last: ``last(run)`` -> time and state of its end.
+        last: Names of its fields that hold the time and the state of its end.
     """
 
     def is_nan(x: Array) -> Array:
@@ -135,5 +136,5 @@ def without_derivative(run: _Run, last: Callable[[_Run], Any]) -> _Run:
     def or_stopped(x: Array) -> Array:
         return x | stopped
 
-    each: Callable[[Any], Any] = lambda part: jax.tree.map(or_stopped, part)
-    return eqx.tree_at(last, lost, replace_fn=each)
+    ends = {name: jax.tree.map(or_stopped, getattr(lost, name)) for name in last}
+    return dataclasses.replace(lost, **ends)

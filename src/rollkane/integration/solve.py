@@ -224,7 +224,7 @@ def _longest(
 def _natively(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> tuple[Solution, Record | None]:
-    model, y0, times, rtol, atol, _, events, *_ = inputs
+    model, y0, times, _, _, _, events, *_ = inputs
     leaves, tree = cast("tuple[list[Array], Any]", jax.tree.flatten((model, events)))
 
     def derivative(t: Array, y: Array, *leaves: Array) -> Array:
@@ -245,21 +245,7 @@ def _natively(
         unbroken_numbers(plan.problem.unbroken, model, like),
         Looked(values, layout_of(events)) if events else None,
     )
-    sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
-    where = landings_of(model, times, plan)
-    longest = _longest(plan, rates, inputs, recording)
-    course = Course(
-        time=times[0],
-        sense=sense,
-        rtol=rtol,
-        atol=atol,
-        dtmin=_least_step(times),
-        longest=jnp.asarray(jnp.inf if longest is None else longest, times.dtype),
-        first_step=_first_step(plan, like, inputs),
-        ends=sense * where.ends,
-        begins=sense * where.starts,
-        outputs=sense * times[1:],
-    )
+    course = _course(plan, rates, like, inputs, recording)
     most = plan.max_steps
     if most is None:
         most = RECORDED_STEPS if recording else UNRECORDED_STEPS
@@ -286,6 +272,28 @@ def _natively(
     record = begun, outcome.steps, kept
     found = outcome.happened
     return outcome, record if found is None else (*record, found.time)
+
+
+def _course(
+    plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
+) -> Course:
+    """What the loop in C is told of a run."""
+    model, _, times, rtol, atol, *_ = inputs
+    sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    where = landings_of(model, times, plan)
+    longest = _longest(plan, rates, inputs, recording)
+    return Course(
+        time=times[0],
+        sense=sense,
+        rtol=rtol,
+        atol=atol,
+        dtmin=_least_step(times),
+        longest=jnp.asarray(jnp.inf if longest is None else longest, times.dtype),
+        first_step=_first_step(plan, like, inputs),
+        ends=sense * where.ends,
+        begins=sense * where.starts,
+        outputs=sense * times[1:],
+    )
 
 
 def unbroken_numbers(
