@@ -11,6 +11,7 @@ import equinox as eqx
 from ..geometry.surfaces import AbstractSurface, Plane
 from ..kinematics.base_motion import AbstractBaseMotion
 from ..validation.checks import FieldError
+from ..validation.shown import described
 from .bodies import Body
 from .friction import AbstractFriction, ViscousFriction
 from .loads import AbstractLoad, Gravity
@@ -149,6 +150,10 @@ class Base(eqx.Module):
         self.surface = surface
         self.motion = motion
 
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
+
 
 class Scene(eqx.Module):
     """A body on a base, with what it supports and what acts on it.
@@ -220,6 +225,10 @@ class Scene(eqx.Module):
         self.has_contact_coordinates = (
             body.surface.normal_map(base.surface.is_flat) is None
         )
+
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
 
     @property
     def carries_point(self) -> bool:
