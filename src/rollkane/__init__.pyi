@@ -17,6 +17,7 @@ from .dynamics.resistance import RollingResistance as RollingResistance
 from .dynamics.resistance import SpinningResistance as SpinningResistance
 from .dynamics.rolling import contact_of as contact_of
 from .dynamics.rolling import rolling_derivative as rolling_derivative
+from .dynamics.rolling_bodies import RollingBody as RollingBody
 from .dynamics.scene import Base as Base
 from .dynamics.scene import Rolling as Rolling
 from .dynamics.scene import RubberRolling as RubberRolling

@@ -78,6 +78,7 @@ NAMES = {
     "Prescribed",
     "RecordedMotion",
     "Spin",
+    "RollingBody",
     "SupportedBody",
     "VoronetsState",
     "builtin_record",

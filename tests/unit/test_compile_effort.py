@@ -4,12 +4,15 @@ import functools
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from rollkane.codegen import compile_effort
 from rollkane.codegen.compile_effort import (
     around_a_loop,
     for_one_call,
+    joined,
+    parted,
     with_little_effort,
 )
 
@@ -48,6 +51,36 @@ def test_around_a_loop_in_every_order(first):
     assert (jax.vmap(times)(jnp.arange(2.0)) == jnp.array([0.0, 2.0])).all()
     assert jax.jit(times)(three) == 6.0
     assert times(three) == 6.0
+
+
+@pytest.mark.parametrize("first", [jax.jit, jax.grad])
+def test_for_one_call_in_every_order(first):
+    """Once it has seen that nothing is traced, it still sees when something is."""
+    three = jnp.asarray(3.0)
+    twice = for_one_call(lambda x: 2.0 * x)
+    assert first(lambda x: twice(three) * x)(three) in (18.0, 6.0)
+    assert jax.grad(lambda x: twice(three) * twice(x))(three) == 12.0
+    for _ in range(2):
+        assert twice(three) == 6.0
+        assert jax.grad(twice)(three) == 2.0
+        assert (jax.vmap(twice)(jnp.arange(2.0)) == jnp.array([0.0, 2.0])).all()
+        assert jax.jit(twice)(three) == 6.0
+
+
+def test_parts_are_joined_to_what_they_were_of():
+    whole = {"a": jnp.arange(2.0), "b": (1, "c", None), "d": np.ones(3)}
+    fixed, arrays = parted(whole)
+    assert [x.shape for x in arrays] == [(2,), (3,)]
+    again = joined(fixed, arrays)
+    assert again["b"] == whole["b"]
+    assert again["d"] is whole["d"]
+    other, _ = parted(whole | {"a": jnp.zeros(2)})  # other numbers, the same program
+    assert other is fixed
+
+
+@pytest.mark.parametrize("other", [1.0, True, 2])
+def test_equal_numbers_of_another_type_make_another_program(other):
+    assert parted((other,))[0] != parted((1,))[0]
 
 
 def test_options_that_a_release_does_not_know_are_left_out(monkeypatch):

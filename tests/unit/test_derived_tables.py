@@ -12,6 +12,7 @@ from rollkane.files.scene_files.surface_tables import SURFACES
 from rollkane.files.scene_files.tables import (
     BaseTable,
     BodyTable,
+    RollingTable,
     SceneTable,
     StartTable,
 )
@@ -23,13 +24,20 @@ INSTEAD = {
     "BaseMotion": {"rotation": {"rotations"}},
     "SupportedBody": {"rotation": {"rotations"}},
     "RecordedMotion": {"time": {"record", "file"}, "acceleration": {"record", "file"}},
-    "place": {"scene": set(), "velocity": {"slip"}},
+    # states of rolling bodies stand in their own tables
+    "place": {"scene": set(), "velocity": {"slip"}, "supported": set()},
+    "RollingBody": {
+        "supported": {"carrier"},
+        "contact": {"without_spin"},
+        "rotation": {"rotations"},
+    },
 }
 # Arguments that a file cannot give, and needs not.
 NOT_IN_FILES = {
     "Revolution": {"poles", "rising"},  # found by evaluation
     "Parametric": {"of_direction"},  # formulas are of a pair
     "BaseMotion": {"kinks"},  # formulas have none
+    "RollingBody": {"torque", "parameters"},  # no formulas of a state
     "place": {"time"},  # runs of files begin at 0
 }
 OTHERS = {
@@ -39,6 +47,7 @@ OTHERS = {
     rk.Modes: ModesTable,
     rk.RecordedMotion: RecordTable,
     rk.place: StartTable,
+    rk.RollingBody: RollingTable,
 }
 TABLES = OTHERS | {
     table.made_by(): table

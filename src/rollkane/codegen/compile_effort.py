@@ -5,9 +5,9 @@ of a few calls, and what stands around a loop in C.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -24,18 +24,36 @@ _LITTLE_EFFORT = {
 }
 
 
-def for_one_call(function: Callable[..., Any]) -> Callable[..., Any]:
+def for_one_call(
+    function: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit
+) -> Callable[..., Any]:
     """A function compiled with little effort, wherever it is not part of a program.
 
     Inside of ``jit`` it is the function itself. Where ``vmap`` or a derivative is taken
     outside of it, what they make of it is compiled as one program.
+
+    Args:
+        function: Of arguments by their places.
+        jit: By which it is compiled on its own; it takes ``compiler_options``.
     """
-    compiled = with_little_effort(functools.partial(eqx.filter_jit, function))
+    compiled = with_little_effort(functools.partial(jit, function))
     plain: Any = eqx.filter_jit(function)
+    outside: Any = None  # how JAX's state looks where nothing is traced, once known
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
+        nonlocal outside
+        now = None if _state is None else _state()
+        # what is known already is known in a hundredth of the time
+        if now is not None and now == outside:
+            try:
+                return compiled(*arguments)
+            except ValueError as error:
+                if "compiler_options" not in str(error):
+                    raise
+                # within a derivative, of nothing that had a tangent then
         traced, inside = is_traced(arguments), is_traced(jnp.zeros(()))
+        outside = None if traced or inside else now
         if traced and inside:
             return function(*arguments)
         if traced and not _only_mapped(arguments):
@@ -45,6 +63,39 @@ def for_one_call(function: Callable[..., Any]) -> Callable[..., Any]:
             return compiled(*arguments)
 
     return call
+
+
+class Fixed(NamedTuple):
+    """Values less their arrays: leaves and their types, of an array None and None."""
+
+    tree: Any
+    leaves: tuple[tuple[Any, Any], ...]
+
+
+def parted(values: Any) -> tuple[Fixed, list[Any]]:
+    """What of a tree of values is part of a program, hashable, and its arrays."""
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(values))
+    arrays: list[Any] = []
+    rest: list[tuple[Any, Any]] = []
+    for x in leaves:
+        known = bool(eqx.is_array(x))
+        arrays += [x] if known else []
+        kind = x.__class__
+        rest.append((None, None) if known else (kind, x))
+    return _one_of_equals(Fixed(tree, tuple(rest))), arrays
+
+
+@functools.lru_cache(maxsize=256)
+def _one_of_equals(fixed: Fixed) -> Fixed:
+    """The first of them: to be found equal to itself takes no time."""
+    return fixed
+
+
+def joined(fixed: Fixed, arrays: Sequence[Any]) -> Any:
+    """The values of which these are the parts."""
+    left = iter(arrays)
+    leaves = [next(left) if kind is None else x for kind, x in fixed.leaves]
+    return jax.tree.unflatten(fixed.tree, leaves)
 
 
 def around_a_loop(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:

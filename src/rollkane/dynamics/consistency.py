@@ -4,32 +4,41 @@ A state has more numbers than the constrained motion. The rates keep the constra
 that a motion obeys them if its start does: it is made consistent once, there.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot, matvec, norm, solve_spd
 from ..kinematics.coordinates import State
-from ..kinematics.voronets import AnyState, VoronetsState
+from ..kinematics.voronets import VoronetsState
+from .abstract_supported import rolling_parts
 from .mass_matrix import assemble
 from .rolling import contact_of
 from .scene import Scene
 
 
-def consistent(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
+def consistent(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
     """The state without what its contact does not allow.
 
     Where the body has explicit contact coordinates, it is turned by the smallest
     rotation that brings its normal onto the base's; of a slip the part along the normal
     is left out, and under ``RubberRolling`` the spin about the normal, relative to the
-    base.
+    base. The same of the bodies that roll on it.
 
     Args:
         scene: What rolls on what.
         t: Time [s].
         state: Any; one in flight or in Voronets coordinates has no spare numbers.
     """
-    if isinstance(state, VoronetsState) or not state.touches:
+    if isinstance(state, VoronetsState):
+        return state
+    if state.supported:
+        pairs = zip(rolling_parts(scene.supported), state.supported, strict=True)
+        inner = tuple(consistent(part.scene, t, own) for part, own in pairs)
+        state = eqx.tree_at(lambda s: s.supported, state, inner)
+    if not state.touches:
         return state
     slides = state.slips
     rubber = scene.contact.without_spin and not slides

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from ..validation.user_functions import GivenFunction, UserFunction
+from .abstract_supported import AbstractRollingPart
 from .contact_laws import accelerations
-from .mass_matrix import assemble, shares
+from .mass_matrix import assemble
 from .rolling import contact_of
 from .scene import Scene
 
@@ -46,12 +47,14 @@ def _parts(scene: Scene, t: Any, state: Any) -> Iterator[_Part]:
         yield f"the motion of the base ({_named(motion)})", remedy, lambda: motion.at(t)
     if state.touches:
         yield from _of_surfaces(scene, state)
-    listed = shares(scene.supported, state.alpha, state.alpha_dot)
-    for k, (part, alpha, rates) in enumerate(listed):
+    order = sorted(range(len(scene.supported)), key=lambda k: _rolls(scene, k))
+    for k, (part, alpha, rates) in zip(order, scene.shares(state), strict=True):
         remedy = "let its functions be finite and smooth at the first alpha"
         name = f"scene.supported[{k}] ({_named(part)})"
         yield name, remedy, lambda p=part, a=alpha, r=rates: p.carried(t, a, r)
-        force = lambda p=part, a=alpha, r=rates: p.generalized_force(t, a, r)
+        force = lambda p=part, a=alpha, r=rates: p.applied(
+            t, a, r, p.carried(t, a, r).pairing
+        )
         yield f"the force of {name}", remedy, force
     contact = contact_of(scene, t, state)
     yield (
@@ -72,6 +75,10 @@ def _parts(scene: Scene, t: Any, state: Any) -> Iterator[_Part]:
             ).angular_acceleration
         ),
     )
+
+
+def _rolls(scene: Scene, k: int) -> bool:
+    return isinstance(scene.supported[k], AbstractRollingPart)
 
 
 def _of_surfaces(scene: Scene, state: Any) -> Iterator[_Part]:

@@ -1,6 +1,6 @@
 """What an impact of a body on its base changes, by one of two laws of restitution."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -89,7 +89,10 @@ def impact(
     J, after = (matvec_transposed(axes, x) for x in hit)
     jump = matvec(others, J)
     w, alpha_dot = state.angular_velocity + jump[:3], state.alpha_dot + jump[3:]
-    parts = shared_parts(state) | {"angular_velocity": w, "alpha_dot": alpha_dot}
+    parts: dict[str, Any] = shared_parts(state) | {
+        "angular_velocity": w,
+        "alpha_dot": alpha_dot,
+    }
     R, j = contact.rotation, contact.base_velocity
     v = after - cross(w, contact.body_point)
     v = v if j is None else v + j

@@ -4,10 +4,9 @@ Angular acceleration and alpha'' on body axes, about the contact point (docs/the
 (4.3)).
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple, cast
+from collections.abc import Sequence
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -18,7 +17,7 @@ from .bodies import inertia_about
 from .carried import Carried
 from .loads import AbstractLoad
 from .scene import Scene
-from .supported import AbstractSupported, total
+from .supported import total
 
 # products of more coordinates are one product of matrices: they would take minutes to
 # compile one by one
@@ -32,14 +31,30 @@ class Masses(NamedTuple):
         part: The part.
         arm: ``s = r - rho`` [m], body axes, shape (3, k).
         drive: ``m beta`` less the loads' fields [N], body axes, shape (3, k).
-        torque: Rate of its own angular momentum without w' and alpha'' [N m]; None
-            for point masses.
+        torques: Of each rigid body among them, rate of its own angular momentum
+            without w' and alpha'' [N m].
     """
 
     part: Carried
     arm: Float[Array, "3 k"]
     drive: Float[Array, "3 k"]
-    torque: Float[Array, "3"] | None
+    torques: tuple[Float[Array, "3"], ...]
+
+    def inertial_force(
+        self, turn: Array, slid: Array | None, accelerations: list[Array]
+    ) -> Float[Array, "3 k"]:
+        """``m (a - g)`` of each mass [N], body axes.
+
+        Args:
+            turn: ``w'`` [rad/s^2], body axes.
+            slid: Slip acceleration [m/s^2], body axes; None: it rolls.
+            accelerations: Those of the part's own quasi-velocities.
+        """
+        push = cross(turn, self.arm)
+        push = push if slid is None else push + slid[:, None]
+        for partial, rate in zip(self.part.partials, accelerations, strict=True):
+            push = push + rate * partial
+        return self.part.mass[None] * push + self.drive
 
 
 class System(NamedTuple):
@@ -86,11 +101,9 @@ def assemble(
             force = wrench[0] if force is None else force + wrench[0]
     rows, right = Th, components(rhs)
     masses: list[Masses] = []
-    for supported, alpha, alpha_dot in shares(
-        scene.supported, state.alpha, state.alpha_dot
-    ):
+    for supported, alpha, alpha_dot in scene.shares(state):
         part = _masses(supported.carried(t, alpha, alpha_dot), contact, proper)
-        own = generalized_force(supported, t, alpha, alpha_dot)
+        own = supported.applied(t, alpha, alpha_dot, part.part.pairing)
         rows, right = _with_masses(rows, right, part, own)
         masses.append(part)
     return System(rows, right, c, proper, force, tuple(masses))
@@ -102,59 +115,35 @@ def field_of(loads: tuple[AbstractLoad, ...]) -> Float[Array, "3"] | None:
     return sum(fields[1:], fields[0]) if fields else None
 
 
-def shares(
-    supported: tuple[AbstractSupported, ...], alpha: Array, alpha_dot: Array
-) -> Iterator[tuple[AbstractSupported, Array, Array]]:
-    """Each supported part with its own coordinates and rates."""
-    start = 0
-    for part in supported:
-        end = start + part.count
-        yield part, alpha[start:end], alpha_dot[start:end]
-        start = end
-
-
-def generalized_force(
-    part: AbstractSupported, t: Array, alpha: Array, alpha_dot: Array
-) -> list[Array] | None:
-    """``Q_s`` of springs, dampers and motors, one entry for each coordinate."""
-    if not part.count:
-        return None
-    force = part.generalized_force(t, alpha, alpha_dot)
-    if part.potential_energy(alpha) is not None:
-        stored: Callable[[Array], Array | None] = lambda a: part.potential_energy(a)
-        spring = -cast(Array, jax.grad(stored)(alpha))
-        force = spring if force is None else force + spring
-    return None if force is None else components(force)
-
-
 def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
     """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**``, (4.2)."""
     w = contact.angular_velocity
     s = part.place - contact.body_point[:, None]
     coriolis = cross(w, cross(w, s) + 2.0 * part.velocity)
     drive = part.mass[None] * (coriolis + part.bias + proper[:, None])
-    if part.turning is None:
-        return Masses(part, s, drive, None)
-    # angular momentum of a rigid part about its own mass centre, I_r (w + w_r)
-    I_r, w_r = part.turning.inertia, part.turning.velocity
-    W = w + w_r
-    change = matvec(I_r, part.turning.bias + cross(w, w_r))
-    return Masses(part, s, drive, change + cross(W, matvec(I_r, W)))
+    torques: list[Array] = []
+    for turning in part.turnings:
+        # angular momentum of a rigid part about its own mass centre, I_r (w + w_r)
+        I_r, w_r = turning.inertia, turning.velocity
+        W = w + w_r
+        change = matvec(I_r, turning.bias + cross(w, w_r))
+        torques.append(change + cross(W, matvec(I_r, W)))
+    return Masses(part, s, drive, tuple(torques))
 
 
 def _with_masses(
     rows: list[list[Array]], rhs: list[Array], masses: Masses, own: list[Array] | None
 ) -> tuple[list[list[Array]], list[Array]]:
     """The system with one more part: its coordinates come last."""
-    part, s, drive, torque = masses
-    m, turning = part.mass[None], part.turning
+    part, s, drive, torques = masses
+    m = part.mass[None]
     moment = total(cross(s, drive))
-    if torque is not None:
+    for torque in torques:
         moment = moment + torque
     before = len(rows)
     rows = [list(row) for row in rows]
     rhs = [b - d for b, d in zip(rhs[:3], components(moment), strict=True)] + rhs[3:]
-    own_inertia = None if turning is None else turning.inertia
+    own_inertia = [turning.inertia for turning in part.turnings]
     for i, row in enumerate(_inertia_rows(part.mass, s, own_inertia)):
         rows[i] = [old + new for old, new in zip(rows[i], row, strict=True)]
     zero = jnp.zeros_like(rhs[0])
@@ -164,7 +153,7 @@ def _with_masses(
         coupling = total(cross(s, push))
         value = -_summed(dot(u, drive))
         mass_row = products[a]
-        if turning is not None and torque is not None:
+        for turning, torque in zip(part.turnings, torques, strict=True):
             tilt = turning.partials[a]
             stored = matvec(turning.inertia, tilt)
             coupling = coupling + stored
@@ -193,9 +182,9 @@ def _products(pushes: list[Array], partials: Sequence[Array]) -> list[list[Array
 def _inertia_rows(
     mass: Float[Array, " k"],
     s: Float[Array, "3 k"],
-    own_inertia: Float[Array, "3 3"] | None,
+    own_inertia: Sequence[Float[Array, "3 3"]],
 ) -> list[list[Array]]:
-    """Lower triangle of ``sum m (|s|^2 I - s s^T)``, and of a rigid part's own."""
+    """Lower triangle of ``sum m (|s|^2 I - s s^T)``, and of the rigid parts' own."""
     x, y, z = components(s)
     xx, yy, zz = (_summed(mass * a * a) for a in (x, y, z))
     rows = [
@@ -203,9 +192,9 @@ def _inertia_rows(
         [-_summed(mass * x * y), xx + zz],
         [-_summed(mass * x * z), -_summed(mass * y * z), xx + yy],
     ]
-    if own_inertia is None:
-        return rows
-    return [[rows[i][j] + own_inertia[i, j] for j in range(i + 1)] for i in range(3)]
+    for own in own_inertia:
+        rows = [[rows[i][j] + own[i, j] for j in range(i + 1)] for i in range(3)]
+    return rows
 
 
 def _summed(x: Float[Array, " k"]) -> Float[Array, ""]:

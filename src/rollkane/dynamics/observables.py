@@ -11,15 +11,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import quaternion_of
-from ..geometry.small_linear import cross, dot, matvec, norm
+from ..geometry.small_linear import components, cross, dot, matvec, norm
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
 from .contact_laws import accelerations, momentum_rate
-from .mass_matrix import assemble, field_of, shares, times_lower
+from .mass_matrix import Masses, assemble, field_of, times_lower
 from .rolling import contact_of, press_and_pull
 from .scene import Scene
-from .supported import AbstractSupported, total
+from .supported import total
 
 
 class _Moving(NamedTuple):
@@ -28,14 +28,8 @@ class _Moving(NamedTuple):
     mass: Float[Array, " k"]
     arm: Float[Array, "3 k"]  # from the contact point [m]
     velocity: Float[Array, "3 k"]  # absolute [m/s]
-    own_spin: Float[Array, "3"] | None  # own angular momentum of a rigid part
+    own_spin: Float[Array, "3"] | None  # own angular momentum of rigid parts
     own_energy: Float[Array, ""] | None
-
-
-def _shares(
-    scene: Scene, state: AnyState
-) -> Iterator[tuple[AbstractSupported, Array, Array]]:
-    return shares(scene.supported, state.alpha, state.alpha_dot)
 
 
 def _moving(
@@ -49,18 +43,18 @@ def _moving(
     zero = jnp.zeros_like(c)
     spin = times_lower(inertia_about(body.mass, zero, body.inertia), w)
     yield _Moving(body.mass[None], c[:, None], v[:, None], spin, 0.5 * dot(w, spin))
-    for supported, alpha, alpha_dot in shares(
-        scene.supported, state.alpha, state.alpha_dot
-    ):
+    for supported, alpha, alpha_dot in scene.shares(state):
         part = supported.carried(t, alpha, alpha_dot)
         s = part.place - contact.body_point[:, None]
         v = cross(w, s) + part.velocity
         v = v if j is None else v + j[:, None]
         spin = energy = None
-        if part.turning is not None:
-            W = w + part.turning.velocity
-            spin = matvec(part.turning.inertia, W)
-            energy = 0.5 * dot(W, spin)
+        for turning in part.turnings:
+            W = w + turning.velocity
+            own = matvec(turning.inertia, W)
+            spin = own if spin is None else spin + own
+            stored = 0.5 * dot(W, own)
+            energy = stored if energy is None else energy + stored
         yield _Moving(part.mass, s, v, spin, energy)
 
 
@@ -161,7 +155,7 @@ def energy(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "
         for mass, s, *_ in _moving(scene, t, state, contact):
             arm = matvec(contact.rotation, total(mass[None] * s))
             value = value - dot(field, jnp.sum(mass) * contact.place + arm)
-    for supported, alpha, _ in _shares(scene, state):
+    for supported, alpha, _ in scene.shares(state):
         stored = supported.potential_energy(alpha)
         value = value if stored is None else value + stored
     for load in scene.loads:
@@ -260,23 +254,36 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
         if wrench is not None and stored is None:
             value = value + dot(w, wrench[1])
             value = value if j is None else value + dot(j, wrench[0])
-    parts = zip(
-        _shares(scene, state),
-        system.masses,
-        strict=True,
-    )
-    for (supported, alpha, alpha_dot), (part, s, drive, torque) in parts:
-        if supported.is_prescribed:
-            push = cross(w_dot, s) if slid is None else cross(w_dot, s) + slid[:, None]
-            need = part.mass[None] * push + drive
-            value = value + jnp.sum(dot(part.velocity, need))
-            if part.turning is not None and torque is not None:
-                spin = matvec(part.turning.inertia, w_dot) + torque
-                value = value + dot(part.turning.velocity, spin)
+    first = 0
+    rates = components(solution.alpha_ddot)
+    listed = zip(scene.shares(state), system.masses, strict=True)
+    for (supported, *moving), masses in listed:
+        own = rates[first : first + supported.count]
+        first += supported.count
+        given = _driven_power(masses, w_dot, slid, own)
+        value = value if given is None else value + given
+        given = supported.drive_power(t, *moving)
+        value = value if given is None else value + given
+    return value
+
+
+def _driven_power(
+    masses: Masses, turn: Array, slid: Array | None, accelerations: list[Array]
+) -> Float[Array, ""] | None:
+    """Power of the drives of prescribed motions [W]; None: there are none."""
+    part = masses.part
+    if part.driven is None:
+        return None
+    need = masses.inertial_force(turn, slid, accelerations)
+    value = jnp.sum(dot(part.driven, need))
+    for turning, torque in zip(part.turnings, masses.torques, strict=True):
+        if turning.driven is None:
             continue
-        Q = supported.generalized_force(t, alpha, alpha_dot)
-        if Q is not None and supported.count:
-            value = value + dot(Q, alpha_dot)
+        push = turn
+        for partial, rate in zip(turning.partials, accelerations, strict=True):
+            push = push + rate * partial
+        spin = matvec(turning.inertia, push) + torque
+        value = value + dot(turning.driven, spin)
     return value
 
 

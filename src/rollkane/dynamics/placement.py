@@ -17,7 +17,8 @@ from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractPointSurface, PointOfNormal
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import SlidingState, State, shared_parts
-from ..validation.checks import is_traced, real, spoilt
+from ..validation.checks import FieldError, is_traced, real, spoilt
+from .abstract_supported import rolling_parts
 from .clearance import clearance, may_touch_twice
 from .consistency import consistent
 from .mass_matrix import assemble, field_of
@@ -40,6 +41,7 @@ def place(
     alpha: Any = (),
     alpha_dot: Any = (),
     *,
+    supported: Any = (),
     base_normal: Any = None,
     near_on_body: Any = None,
     time: Any = 0.0,
@@ -57,6 +59,8 @@ def place(
             base's surface.
         alpha: Coordinates of what is supported, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each ``RollingBody`` of the scene, in their order, from
+            its method ``place``; one alone need not be in a tuple.
         base_normal: Outward normal of the base at the contact [1], shape (3,); only
             where the base is a sharp edge, which has a fan of them.
         near_on_body: Body axes [m], shape (3,). Where several points of the body have
@@ -109,12 +113,13 @@ def place(
     }
     optional = "base_normal", "near_on_body", "velocity", "slip"
     refuse_needless(scene, {name: meanings[name][0] for name in optional})
-    asked = {
+    asked: dict[str, Any] = {
         name: None
         if value is None and name in optional
         else _number(dtype, name, value, count, meaning)
         for name, (value, count, meaning) in meanings.items()
     }
+    asked["supported"] = _inner_states(scene, supported)
     looks = may_touch_twice(scene) and not allow_overlap
     placed = (_placed_looking if looks else _placed)(scene, asked)
     if not is_traced(placed):
@@ -146,6 +151,7 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
         contact_on_body=fit.on_body,
         alpha=asked["alpha"],
         alpha_dot=asked["alpha_dot"],
+        supported=asked["supported"],
     )
     wrong = {
         "long": ~(jnp.abs(dot(q, q) - 1.0) < 2 * loose),
@@ -160,7 +166,7 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
         found = jax.lax.stop_gradient(clearance(scene, time, state))
         overlap, where = -found.gap, found.place
         wrong["overlaps"] = overlap > loose * (found.size + norm(where))
-    if scene.coordinate_count:
+    if scene.supported:
         wrong["massless"] = _massless(scene, time, state)
     if scene.contact.slips:
         state, leaves = _sliding(scene, time, state, asked, loose)
@@ -241,6 +247,20 @@ class _Fit(eqx.Module):
 def _looseness(dtype: DTypeLike) -> float:
     """How far a user's rounded numbers may be off, relative [1]: half the digits."""
     return 1e-6 if dtype == jnp.float64 else 1e-3
+
+
+def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
+    """States of the bodies that roll on the body; refused if they are not theirs."""
+    given = (given,) if isinstance(given, State) else tuple(given)
+    bodies = rolling_parts(scene.supported)
+    if len(given) == len(bodies) and all(isinstance(own, State) for own in given):
+        return given
+    raise FieldError(
+        "place.supported",
+        f"{len(given)} states",
+        f"must be a State for each RollingBody of the scene, {len(bodies)}",
+        "place each by its own method first: scene.supported[0].place(...)",
+    )
 
 
 def _number(

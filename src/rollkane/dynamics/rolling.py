@@ -11,12 +11,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix
-from ..geometry.small_linear import dot, matvec, matvec_transposed
+from ..geometry.small_linear import components, dot, matvec, matvec_transposed
 from ..kinematics.contact import Contact, body_to_base
 from ..kinematics.coordinates import Pair, SlidingState
 from ..kinematics.voronets import AnyState, VoronetsState
+from .abstract_supported import rates_of_rolling, rolling_parts
 from .contact_laws import Solution, accelerations, momentum_rate
-from .mass_matrix import assemble
+from .mass_matrix import System, assemble
 from .scene import Scene
 
 # a run towards Painleve's paradox ends just before it, with the normal force growing
@@ -44,7 +45,8 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
 
 def watches_headings(scene: Scene) -> bool:
     """Whether a normal of a surface could pass where its inverse Gauss map jumps."""
-    return any(function is not None for function in _headings(scene))
+    inner = any(watches_headings(part.scene) for part in rolling_parts(scene.supported))
+    return inner or any(function is not None for function in _headings(scene))
 
 
 def _headings(scene: Scene) -> tuple[_Heading | None, _Heading | None]:
@@ -75,7 +77,10 @@ def headings(
         out = base.geometry(state.contact_on_base).normal
         own = -matvec_transposed(to_base, out)
     both = (of_body, own), (of_base, out)
-    return [part(normal) for part, normal in both if part is not None]
+    found = [part(normal) for part, normal in both if part is not None]
+    for part, own in zip(rolling_parts(scene.supported), state.supported, strict=True):
+        found += headings(part.scene, t, own)
+    return found
 
 
 def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
@@ -94,30 +99,40 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
     """
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
-    return _rates(state, contact, accelerations(scene, t, contact, system))
+    solution = accelerations(scene, t, contact, system)
+    return _rates(scene, state, contact, system, solution)
 
 
-def _rates(state: AnyState, contact: Contact, solution: Solution) -> AnyState:
+def _rates(
+    scene: Scene, state: AnyState, contact: Contact, system: System, solution: Solution
+) -> AnyState:
     w_dot, alpha_ddot, slid, *_ = solution
-    return state.rates(contact, w_dot, alpha_ddot, slid)
+    pairings = [masses.part.pairing for masses in system.masses]
+    pairings = [pairing for pairing in pairings if pairing is not None]
+    if not pairings:
+        return state.rates(contact, w_dot, alpha_ddot, slid)
+    n = state.alpha.shape[0]
+    rolling = components(alpha_ddot[n:])
+    inner = rates_of_rolling(scene.supported, state.supported, pairings, rolling)
+    return state.rates(contact, w_dot, alpha_ddot[:n], slid, inner)
 
 
 def rates_and_force(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"]]:
     """Rates of the state, and the contact force by :func:`press_and_pull`, at once."""
-    contact, solution, force = _solved(scene, t, state)
-    return _rates(state, contact, solution), *_parted(contact, force)
+    rates, contact, _, force = _solved(scene, t, state)
+    return rates, *_parted(contact, force)
 
 
 def slipping_rates(
     scene: Scene, t: Float[Array, ""], state: SlidingState
 ) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"], Float[Array, ""]]:
     """As :func:`rates_and_force`, and the slip times the rate of its turn [m/s^2]."""
-    contact, solution, force = _solved(scene, t, state)
+    rates, contact, solution, force = _solved(scene, t, state)
     press, pull = _parted(contact, force)
     turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
-    return _rates(state, contact, solution), press, pull, turn
+    return rates, press, pull, turn
 
 
 def contact_force(
@@ -128,14 +143,14 @@ def contact_force(
     Source: docs/theory.md, (6.2), ``Rc = dP/dt - F``, with ``a_i = a_P + w' x s_i +
     dr_i/dalpha alpha'' + beta_i``.
     """
-    return _solved(scene, t, state)[2]
+    return _solved(scene, t, state)[3]
 
 
 def press_and_pull(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """Normal force [N], negative where it pulls; force along the surface [N], FIXED."""
-    contact, _, force = _solved(scene, t, state)
+    _, contact, _, force = _solved(scene, t, state)
     return _parted(contact, force)
 
 
@@ -149,13 +164,14 @@ def _parted(
 
 def _solved(
     scene: Scene, t: Float[Array, ""], state: AnyState
-) -> tuple[Contact, Solution, Float[Array, "3"]]:
-    """Contact, accelerations and contact force [N], fixed axes."""
+) -> tuple[AnyState, Contact, Solution, Float[Array, "3"]]:
+    """Rates, contact, accelerations and contact force [N], fixed axes."""
     contact = contact_of(scene, t, state)
     system = assemble(scene, t, state, contact)
     solution = accelerations(scene, t, contact, system)
     force = momentum_rate(scene, contact, system).force(solution)
-    return contact, solution, matvec(contact.rotation, force)
+    rates = _rates(scene, state, contact, system, solution)
+    return rates, contact, solution, matvec(contact.rotation, force)
 
 
 def painleve_margin(
@@ -168,6 +184,6 @@ def painleve_margin(
 
     Source: docs/theory.md, (7.4).
     """
-    _, solution, force = _solved(scene, t, state)
+    _, _, solution, force = _solved(scene, t, state)
     margin = solution.margin
     return jnp.full((), jnp.inf, force.dtype) if margin is None else margin

@@ -12,6 +12,7 @@ from ..geometry.small_linear import norm
 from ..geometry.surfaces import AbstractSurface
 from ..kinematics.voronets import CHART_EDGE, ChartContact
 from ..validation.codes import Code, is_stuck
+from .abstract_supported import rolling_parts
 from .rolling import (
     LEAST_MARGIN,
     contact_of,
@@ -46,8 +47,12 @@ def error_sizes(state: Any) -> Any:
     fast = jnp.maximum(norm(w), 1.0)
     fast = jnp.where(jnp.isfinite(fast), fast, 1.0)  # a bad start is refused elsewhere
     one: Callable[[Array], Array] = lambda x: jnp.ones_like(x)
-    ones = jax.tree.map(one, state)
-    return eqx.tree_at(lambda s: s.angular_velocity, ones, jnp.full_like(w, fast))
+    sizes = jax.tree.map(one, state)
+    sizes = eqx.tree_at(lambda s: s.angular_velocity, sizes, jnp.full_like(w, fast))
+    if not state.supported:
+        return sizes
+    inner = tuple(error_sizes(own) for own in state.supported)
+    return eqx.tree_at(lambda s: s.supported, sizes, inner)
 
 
 def unbroken(scene: Scene, state: Any) -> Unbroken | None:
@@ -71,7 +76,8 @@ def has_edges(scene: Scene) -> bool:
     """Whether a contact may come to the end of a surface."""
     surfaces = scene.body.surface, scene.base.surface
     ends = any(_ends(surface) for surface in surfaces)
-    return ends or watches_headings(scene)
+    inner = any(has_edges(part.scene) for part in rolling_parts(scene.supported))
+    return ends or inner or watches_headings(scene)
 
 
 def _ends(surface: Any) -> bool:
@@ -126,4 +132,6 @@ def at_an_edge(scene: Scene, t: Array, state: Any) -> Array:
     if watches_headings(scene):
         for vector in headings(scene, t, state):
             found |= norm(vector) < _FLAT
+    for part, own in zip(rolling_parts(scene.supported), state.supported, strict=True):
+        found |= at_an_edge(part.scene, t, own)
     return found

@@ -3,19 +3,20 @@
 What a scene does not name costs nothing: it is no part of the traced program.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, cast
 
 import equinox as eqx
+from jaxtyping import Array
 
 from ..geometry.surfaces import AbstractSurface, Plane
 from ..kinematics.base_motion import AbstractBaseMotion
 from ..validation.checks import FieldError
 from ..validation.shown import described
+from .abstract_supported import AbstractSupported, rolling_parts, shares
 from .bodies import Body
 from .friction import AbstractFriction, ViscousFriction
 from .loads import AbstractLoad, Gravity
-from .supported import AbstractSupported
 
 
 class AbstractContactLaw(eqx.Module):
@@ -189,8 +190,8 @@ class Scene(eqx.Module):
         Args:
             body: The rolling body.
             base: What it rolls on; a horizontal plane at rest when left out.
-            supported: ``PointMasses``, ``SupportedBody`` or ``Prescribed``, one or a
-                tuple of them.
+            supported: ``PointMasses``, ``SupportedBody``, ``Prescribed`` or
+                ``RollingBody``, one or a tuple of them.
             loads: Forces; ``(Gravity(),)`` when left out, ``()`` for none.
             contact: The contact law; ``Rolling()`` when left out.
 
@@ -218,7 +219,7 @@ class Scene(eqx.Module):
             supported = (supported,)
         _require("Scene.supported", supported, (tuple, list), "give a tuple of parts")
         for i, part in enumerate(supported):
-            remedy = "give PointMasses, SupportedBody or Prescribed"
+            remedy = "give PointMasses, SupportedBody, Prescribed or RollingBody"
             _require(f"Scene.supported[{i}]", part, AbstractSupported, remedy)
         self.body, self.base, self.contact = body, base, contact
         self.loads, self.supported = tuple(loads), tuple(supported)
@@ -237,8 +238,16 @@ class Scene(eqx.Module):
 
     @property
     def coordinate_count(self) -> int:
-        """Number n of coordinates alpha of all that is supported."""
-        return sum(part.count for part in self.supported)
+        """Number n of coordinates alpha; parts that roll on the body have a state."""
+        rolling = sum(part.count for part in rolling_parts(self.supported))
+        return sum(part.count for part in self.supported) - rolling
+
+    def shares(self, state: Any) -> Iterator[tuple[AbstractSupported, Any, Array]]:
+        """Each supported part with its own coordinates and rates, by a state.
+
+        Parts that roll on the body come last, with a ``State`` and no rates.
+        """
+        return shares(self.supported, state.alpha, state.alpha_dot, state.supported)
 
     @property
     def does_work(self) -> bool:

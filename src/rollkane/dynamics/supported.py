@@ -5,10 +5,9 @@ relative to the body, and by how much a unit of each coordinate moves them. The
 mechanics needs nothing else.
 """
 
-import abc
 import dataclasses
 from collections.abc import Callable
-from typing import Any, ClassVar, cast
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -25,45 +24,10 @@ from ..validation.user_functions import (
     check_output,
     check_rotation,
 )
+from .abstract_supported import AbstractSupported
 from .bodies import Matrix, Vector, checked_inertia
 from .carried import Carried, turning_of
 from .coordinate_functions import functions_of, moved
-
-
-class AbstractSupported(eqx.Module):
-    """Something carried, with ``count`` coordinates alpha."""
-
-    is_prescribed: ClassVar[bool] = False  # whether its motion is a function of time
-    count: eqx.AbstractVar[int]
-
-    @property
-    def part(self) -> "AbstractSupported":
-        """What is carried, whether its motion is prescribed or not."""
-        return self
-
-    @abc.abstractmethod
-    def carried(
-        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
-    ) -> Carried:
-        """Its masses at one instant."""
-
-    @abc.abstractmethod
-    def generalized_force(
-        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
-    ) -> Float[Array, " n"] | None:
-        """``Q_s`` of springs, dampers and motors [J per unit of alpha]; None: none.
-
-        The part with a potential is not in it.
-        """
-
-    @abc.abstractmethod
-    def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
-        """Energy of its springs [J]; None where it gives no potential."""
-
-    @property
-    @abc.abstractmethod
-    def does_work(self) -> bool:
-        """Whether it gives energy to the system or takes some, springs excepted."""
 
 
 class _Driven(AbstractSupported):
@@ -252,7 +216,7 @@ class SupportedBody(_Driven):
             velocity[:, None],
             bias[:, None],
             tuple(p[:, None] for p in partials),
-            turning_of(self.inertia, *turned),
+            (turning_of(self.inertia, *turned),),
         )
 
 
@@ -265,7 +229,6 @@ class Prescribed(AbstractSupported):
         count: 0: no coordinate is left to be found.
     """
 
-    is_prescribed: ClassVar[bool] = True
     supported: PointMasses | SupportedBody
     motion: UserFunction
     count: int = eqx.field(static=True)
@@ -319,12 +282,20 @@ class Prescribed(AbstractSupported):
         (alpha, alpha_dot), (_, second) = jax.jvp(rate, (t,), (jnp.ones_like(t),))
         own = self.supported.carried(t, alpha, alpha_dot)
         pushes = components(second)
-        turning = own.turning
-        if turning is not None:
-            bias = _pushed(turning.bias, turning.partials, pushes)
-            turning = dataclasses.replace(turning, bias=bias, partials=())
+        turnings = tuple(
+            dataclasses.replace(
+                turning,
+                bias=_pushed(turning.bias, turning.partials, pushes),
+                partials=(),
+                driven=turning.velocity,
+            )
+            for turning in own.turnings
+        )
         bias = _pushed(own.bias, own.partials, pushes)
-        return Carried(own.mass, own.place, own.velocity, bias, (), turning)
+        velocity = own.velocity
+        return Carried(
+            own.mass, own.place, velocity, bias, (), turnings, driven=velocity
+        )
 
     def generalized_force(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]

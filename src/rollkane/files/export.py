@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .. import __version__
+from ..dynamics.rolling_body_observables import paths_of_rolling
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene
 from ..simulation.ensemble_result import Ensemble
@@ -60,8 +61,19 @@ _SUPPORTED = {
     "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
     "alpha_dot": (("coordinate",), "their rates", "", ""),
 }
-
-
+_ROLLING = {
+    "position": (_AXIS, "its origin", "m", "fixed"),
+    "orientation": (
+        ("quaternion",),
+        "unit quaternion, scalar first, its own to fixed axes",
+        "1",
+        "own to fixed",
+    ),
+    "angular_velocity": (_AXIS, "angular velocity", "rad/s", "fixed"),
+    "contact_place": (_AXIS, "where it touches its carrier", "m", "fixed"),
+    "contact_force": (_AXIS, "force of its carrier on it", "N", "fixed"),
+    "normal_force": ((), "normal force, positive while pressed together", "N", ""),
+}
 _MODES = "0 rolls, 1 slips, 2 flies, -1 not reached"
 _MODE = {"mode": ((), _MODES, "", "")}
 QUANTITIES = _VARIABLES | _MOVING | _WORK | _SLIDING
@@ -86,8 +98,9 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
         slips ``slip``; where it changes ``slip`` and ``mode``, and over ``switch`` the
         changes ``switch_time`` [s], ``switch_before``, ``switch_after``, those of one
-        run that there were, of a batch ``switch_count`` and all that is kept; where the
-        energy may change ``power``.
+        run that there were, of a batch ``switch_count`` and all that is kept; of each
+        body that rolls on the body, by its path, the likes of ``rolling_0_position``;
+        where the energy may change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -176,6 +189,12 @@ def quantities(
     if scene.coordinate_count:
         described |= _SUPPORTED
     values = _values(motion, tuple(described))
+    for path in paths_of_rolling(scene):
+        place = "_".join(str(k) for k in path)
+        inner = _values(motion, tuple(_ROLLING), path)
+        for name, about in _ROLLING.items():
+            described[f"rolling_{place}_{name}"] = about
+            values[f"rolling_{place}_{name}"] = inner[name]
     return {
         name: ((*front, *behind), np.asarray(values[name]), labels(*about))
         for name, (behind, *about) in described.items()
@@ -237,9 +256,15 @@ def imported(module: str) -> Any:
 
 
 @eqx.filter_jit
-def _values(motion: AbstractMotion, names: tuple[str, ...]) -> dict[str, Array]:
-    """All variables in one program: parts that they share are computed once."""
-    return {name: getattr(motion, name) for name in names}
+def _values(
+    motion: AbstractMotion, names: tuple[str, ...], path: tuple[int, ...] = ()
+) -> dict[str, Array]:
+    """All variables in one program: parts that they share are computed once.
+
+    Of the body that rolls in it, where a path to one is given.
+    """
+    of: Any = motion.rolling_body(*path) if path else motion
+    return {name: getattr(of, name) for name in names}
 
 
 def _lanes(trajectory: Trajectory) -> tuple[str, ...]:

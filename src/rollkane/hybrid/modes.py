@@ -231,7 +231,7 @@ def of(state: Any) -> HybridState:
     """A state of one mode among all; what it does not have is zero."""
     zero = jnp.zeros_like(state.angular_velocity)
     names = "slip", "position", "velocity"
-    own = {name: getattr(state, name, zero) for name in names}
+    own: dict[str, Any] = {name: getattr(state, name, zero) for name in names}
     return HybridState(**shared_parts(state), **own)
 
 

@@ -14,6 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.observables import energy, kinetic_energy
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State, pack, unpack
@@ -237,6 +238,7 @@ def check_keeps_energy(field: str, scene: Scene) -> None:
     Raises:
         FieldError: it does.
     """
+    refuse_rolling_parts(field, scene.supported)
     if scene.does_work or scene.base.motion is not None or scene.coordinate_count:
         raise FieldError(
             field,

@@ -11,8 +11,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.loads import AbstractLoad
-from ..dynamics.mass_matrix import field_of, generalized_force, shares
+from ..dynamics.mass_matrix import field_of
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Rolling, Scene
 from ..dynamics.supported import Carried
@@ -52,6 +53,7 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
             "has another law of the contact than Rolling",
             "give a scene with contact=Rolling(), or write its system down",
         )
+    refuse_rolling_parts("rolling_system.scene", scene.supported)
     count = scene.coordinate_count
     shared = _Shared(_places(like), reactions)
     parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]
@@ -89,8 +91,7 @@ def _places(state: State) -> State:
 
 def _carried(scene: Scene, t: _Time, state: State) -> list[Carried]:
     """Every carried part."""
-    listed = shares(scene.supported, state.alpha, state.alpha_dot)
-    return [part.carried(t, *moved) for part, *moved in listed]
+    return [part.carried(t, *moved) for part, *moved in scene.shares(state)]
 
 
 class _Instant(NamedTuple):
@@ -158,9 +159,10 @@ def _of_point(
 
 def _carried_parts(k: int, carried: Carried) -> list[Particle | RigidBody]:
     """The masses of the k-th supported part."""
-    masses, turning = carried.mass, carried.turning
-    if turning is None:
+    masses = carried.mass
+    if not carried.turnings:
         return [Particle(masses[i], _OfCarried(k, i)) for i in range(masses.shape[0])]
+    (turning,) = carried.turnings
     inertia = turning.rotation.T @ turning.inertia @ turning.rotation
     return [RigidBody(masses[0], inertia, _OfCarried(k, 0), _CarriedSpin(k))]
 
@@ -182,7 +184,7 @@ class _CarriedSpin(eqx.Module):
     k: int = eqx.field(static=True)
 
     def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
-        turning: Any = now.carried[self.k].turning
+        (turning,) = now.carried[self.k].turnings
         return turning.rotation.T @ (u[:3] + turning.velocity)
 
 
@@ -235,8 +237,8 @@ def _springs(t: _Time, q: _Q, u: _U, now: _Instant) -> _U:
     """``Q_s`` of the coordinates; nothing for the body and the reactions."""
     scene, state = now.scene, now.state
     forces = [jnp.zeros(3, q.dtype)]
-    for part, alpha, rates in shares(scene.supported, state.alpha, state.alpha_dot):
-        own = generalized_force(part, t, alpha, rates)
+    for part, alpha, rates in scene.shares(state):
+        own = part.applied(t, alpha, rates)
         forces.append(jnp.zeros_like(alpha) if own is None else jnp.stack(own))
     others = u.shape[0] - 3 - state.alpha.shape[0]
     return jnp.concatenate([*forces, jnp.zeros(others, q.dtype)])

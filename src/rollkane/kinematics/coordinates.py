@@ -31,11 +31,13 @@ class Accelerations(NamedTuple):
         alpha: ``alpha''`` [unit of alpha / s^2], shape (n,).
         point: Of a body that slips, of its point at the contact along the surface; in
             flight, of its origin [m/s^2]; None: it rolls.
+        supported: Rates of the states of bodies that roll on this one.
     """
 
     angular: Float[Array, "3"]
     alpha: Float[Array, " n"]
     point: Float[Array, "3"] | None
+    supported: tuple[Any, ...] = ()
 
 
 class Pair(NamedTuple):
@@ -75,6 +77,7 @@ class AbstractState(eqx.Module):
         angular_acceleration: Float[Array, "3"],
         alpha_ddot: Float[Array, " n"],
         point_acceleration: Float[Array, "3"] | None = None,
+        supported: tuple[Any, ...] = (),
     ) -> Self:
         """Rates of every number of a state, as a state.
 
@@ -83,8 +86,9 @@ class AbstractState(eqx.Module):
             angular_acceleration: ``w'``, BODY axes [rad/s^2].
             alpha_ddot: [unit of alpha / s^2].
             point_acceleration: As ``point`` of :class:`Accelerations`.
+            supported: As of :class:`Accelerations`.
         """
-        known = angular_acceleration, alpha_ddot, point_acceleration
+        known = angular_acceleration, alpha_ddot, point_acceleration, supported
         return self._rates(contact, Accelerations(*known))
 
     @abc.abstractmethod
@@ -104,6 +108,7 @@ class State(AbstractState):
             follows from the normal.
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each body that rolls on this one, relative to it.
     """
 
     orientation: Float[Array, "4"]
@@ -112,6 +117,7 @@ class State(AbstractState):
     contact_on_body: Float[Array, " m"]
     alpha: Float[Array, " n"]
     alpha_dot: Float[Array, " n"]
+    supported: tuple["State", ...] = eqx.field(default=(), kw_only=True)
 
     def contact(self, pair: Pair) -> Contact:
         """Its contact."""
@@ -153,6 +159,7 @@ class State(AbstractState):
             "contact_on_body": contact.body_rates,
             "alpha": self.alpha_dot,
             "alpha_dot": known.alpha,
+            "supported": known.supported,
         }
 
 
@@ -171,6 +178,7 @@ class SlidingState(State):
         contact_on_body: On the body, shape (m,).
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each body that rolls on this one, relative to it.
         slip: ``U``, velocity of the body's material point at the contact over the
             base, FIXED axes [m/s], shape (3,).
     """
@@ -209,6 +217,7 @@ class FlyingState(State):
         contact_on_body: Where the body is nearest, shape (m,).
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
+        supported: A state for each body that rolls on this one, relative to it.
         position: Body origin, FIXED axes [m], shape (3,).
         velocity: Of the body origin, FIXED axes [m/s], shape (3,).
     """
@@ -227,7 +236,7 @@ class FlyingState(State):
     def _rates(self, contact: Contact, known: Accelerations) -> Self:
         """Rates of a state in flight."""
         assert known.point is not None
-        still = {
+        still: dict[str, Any] = {
             "contact_on_base": jnp.zeros_like(self.contact_on_base),
             "contact_on_body": jnp.zeros_like(self.contact_on_body),
         }

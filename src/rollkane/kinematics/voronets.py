@@ -57,6 +57,7 @@ class VoronetsState(AbstractState):
     sign: int = eqx.field(static=True, default=-1)
 
     in_charts: ClassVar[bool] = True
+    supported: ClassVar[tuple[()]] = ()  # bodies that roll on it have no such state
 
     def contact(self, pair: Pair) -> "ChartContact":
         """Its contact."""

@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
 from ..geometry.rotations import quaternion_of
@@ -33,6 +34,7 @@ def to_voronets(
         FieldError: a sign other than -1 and +1, a contact point that the chart of its
             surface does not reach, or at whose edge it lies.
     """
+    refuse_rolling_parts("to_voronets.scene", scene.supported)
     if sign not in (-1, 1):
         raise FieldError("to_voronets.sign", sign, "must be -1 or +1", "give -1")
     time = jnp.asarray(time, state.angular_velocity.dtype)

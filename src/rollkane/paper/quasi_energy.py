@@ -9,8 +9,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import shares
 from ..dynamics.bodies import inertia_about
-from ..dynamics.mass_matrix import field_of, generalized_force, shares
+from ..dynamics.mass_matrix import field_of
 from ..dynamics.scene import Scene
 from ..dynamics.supported import total
 from ..geometry.small_linear import cross, dot, matmul, matvec, matvec_transposed
@@ -105,11 +106,11 @@ def inertia_of(
         Q_r = Q_r + total(m * v)
         K_r = K_r + total(m * cross(r, v))
         T_r = T_r + 0.5 * jnp.sum(m * v * v)
-        if part.turning is not None:
-            own = matvec(part.turning.inertia, part.turning.velocity)
-            Th = Th + part.turning.inertia
+        for turning in part.turnings:
+            own = matvec(turning.inertia, turning.velocity)
+            Th = Th + turning.inertia
             K_r = K_r + own
-            T_r = T_r + 0.5 * dot(part.turning.velocity, own)
+            T_r = T_r + 0.5 * dot(turning.velocity, own)
     return Inertia(mass, first / mass, Th, Q_r, K_r, T_r)
 
 
@@ -199,11 +200,9 @@ def applied(
         wrench = load.wrench(t, body, contact)
         moment = moment if wrench is None else moment + wrench[1]
     forces: list[Array] = []
-    for supported, alpha, rates in shares(
-        scene.supported, state.alpha, state.alpha_dot
-    ):
+    for supported, alpha, rates in scene.shares(state):
         part = supported.carried(t, alpha, rates)
-        m, own = part.mass[None], generalized_force(supported, t, alpha, rates)
+        m, own = part.mass[None], supported.applied(t, alpha, rates)
         if g is not None:
             arm = total(m * (part.place - contact.body_point[:, None]))
             moment = moment + cross(arm, g)

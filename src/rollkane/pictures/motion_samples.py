@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..dynamics.mass_matrix import shares
+from ..dynamics.abstract_supported import AbstractRollingPart, rolling_parts
+from ..dynamics.carried import Pairing
 from ..dynamics.observables import (
     energy,
     kept_energy,
@@ -18,6 +19,7 @@ from ..dynamics.observables import (
     velocity_of_origin,
 )
 from ..dynamics.rolling import contact_force, contact_of
+from ..dynamics.rolling_body_observables import motion_of, paths_of_rolling
 from ..dynamics.scene import Scene
 from ..dynamics.supported import SupportedBody
 from ..geometry.numpy_rotations import rotated
@@ -46,6 +48,17 @@ _SIZES = {
     "base_angular_velocity": 3,
 }
 
+_ROLLING = {
+    "position": 3,
+    "velocity": 3,
+    "orientation": 4,
+    "angular_velocity": 3,
+    "contact_on_body": 3,
+    "body_outward": 3,
+    "contact_on_carrier": 3,
+    "carrier_outward": 3,
+}
+
 
 class MotionSamples(NamedTuple):
     """A motion at T times; rows that the run did not reach are NaN.
@@ -72,6 +85,10 @@ class MotionSamples(NamedTuple):
         carried: Where carried masses are [m], body axes, shape (T, k, 3); a rigid body
             is six masses on its own axes, with its moments of inertia.
         masses: Of each of them [kg], shape (k,).
+        rolling: Of each body that rolls on or in the body, in the order of its path:
+            position, velocity, orientation and angular velocity, fixed axes, contact
+            point on it and normal out of it, its own axes, the same of its carrier's
+            surface, shape (T, b, 25); ``rolling_column`` takes them apart.
         base_moves: Whether the base moves.
         kept: What the motion has to keep: "energy", "moving energy", or "" where the
             base or forces inside do work.
@@ -97,6 +114,7 @@ class MotionSamples(NamedTuple):
     base_angular_velocity: np.ndarray
     alpha: np.ndarray
     carried: np.ndarray
+    rolling: np.ndarray
     masses: np.ndarray
     base_moves: bool
     kept: str
@@ -136,6 +154,15 @@ class MotionSamples(NamedTuple):
         scale = abs(known[0]) or np.max(np.abs(known)) or 1.0
         return np.abs(value - known[0]) / scale
 
+    def rolling_column(self, k: int, name: str) -> np.ndarray:
+        """A column of the k-th rolling body, shape (T, n)."""
+        first = 0
+        for column, size in _ROLLING.items():
+            if column == name:
+                return self.rolling[:, k, first : first + size]
+            first += size
+        raise KeyError(name)
+
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """What has a row for each time, by name."""
@@ -168,7 +195,10 @@ def motion_samples(trajectory: Trajectory) -> MotionSamples:
             "draw one lane: jax.tree.map(lambda x: x[i], trajectory)",
         )
     rows = np.asarray(trajectory.each(_row), dtype=float)
-    *pieces, carried = np.split(rows, np.cumsum(list(_SIZES.values())), axis=1)
+    scene = trajectory.scene
+    bodies = sum(_ROLLING.values()) * len(list(paths_of_rolling(scene)))
+    ends = np.cumsum([*_SIZES.values(), bodies])
+    *pieces, rolling, carried = np.split(rows, ends, axis=1)
     columns = dict(zip(_SIZES, pieces, strict=True))
     for name in ("energy", "moving_energy"):
         columns[name] = columns[name][:, 0]
@@ -176,12 +206,12 @@ def motion_samples(trajectory: Trajectory) -> MotionSamples:
     columns["orientation"] = np.asarray(trajectory.orientation, dtype=float)
     turned = jnp.asarray(columns["base_orientation"])
     columns["base_orientation"] = np.asarray(in_one_sense(turned))
-    scene = trajectory.scene
     return MotionSamples(
         time=np.asarray(trajectory.time, dtype=float),
         **columns,
         alpha=np.asarray(trajectory.alpha, dtype=float),
         carried=carried.reshape(len(rows), -1, 3),
+        rolling=rolling.reshape(len(rows), -1, sum(_ROLLING.values())),
         masses=_masses(scene),
         base_moves=scene.base.motion is not None,
         kept=kept_energy(scene),
@@ -213,6 +243,7 @@ def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
             energy(scene, t, state)[None],
             moving_energy(scene, t, state)[None],
             *_base_row(contact.base, arm),
+            *_rolling_rows(scene, t, state),
             *_carried_rows(scene, t, state),
         ]
     )
@@ -236,18 +267,36 @@ def _base_row(base: BaseKinematics | None, like: Array) -> list[Array]:
 def _carried_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
     """Places of carried masses on body axes, one after the other."""
     rows: list[Array] = []
-    for supported, alpha, rates in shares(
-        scene.supported, state.alpha, state.alpha_dot
-    ):
+    for supported, alpha, rates in scene.shares(state):
         part = supported.carried(t, alpha, rates)
         places = part.place.T
-        if part.turning is not None:
-            arms = (
-                _spread(cast(SupportedBody, supported.part))[:, None]
-                * part.turning.rotation.T
-            )
+        if part.pairing is not None:
+            places = places[_points_beside(part.pairing)]
+        elif part.turnings:
+            (turning,) = part.turnings
+            spread = _spread(cast(SupportedBody, supported.part))
+            arms = spread[:, None] * turning.rotation.T
             places = jnp.concatenate([places + arms, places - arms])
         rows.append(places.reshape(-1))
+    return rows
+
+
+def _points_beside(pairing: Pairing) -> np.ndarray:
+    """Which masses that move with a rolling body are no rolling bodies themselves."""
+
+    def bodies(pairing: Pairing, first: int) -> list[int]:
+        inner = zip(pairing.inner, pairing.first_of_inner, strict=True)
+        return [first, *(k for own, at in inner for k in bodies(own, first + at))]
+
+    return np.setdiff1d(np.arange(pairing.masses), bodies(pairing, 0))
+
+
+def _rolling_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
+    """Columns of ``_ROLLING`` of each rolling body, one after the other."""
+    rows: list[Array] = []
+    for path in paths_of_rolling(scene):
+        seen = motion_of(scene, t, state, path)
+        rows += [getattr(seen, name) for name in _ROLLING]
     return rows
 
 
@@ -262,7 +311,21 @@ def _masses(scene: Scene) -> np.ndarray:
     """Mass of every point of ``_carried_rows`` [kg]."""
     masses: list[np.ndarray] = []
     for supported in scene.supported:
+        if isinstance(supported, AbstractRollingPart):
+            continue
         own: Any = supported.part
         mass = np.asarray(own.mass, dtype=float)
         masses.append(np.full(6, mass / 6) if isinstance(own, SupportedBody) else mass)
+    masses += [_masses_beside(part.scene) for part in rolling_parts(scene.supported)]
+    return np.concatenate([np.zeros(0), *masses])
+
+
+def _masses_beside(scene: Scene) -> np.ndarray:
+    """Of what a rolling body carries, as ``_points_beside`` has it [kg]."""
+    masses: list[np.ndarray] = []
+    for supported in scene.supported:
+        if not isinstance(supported, AbstractRollingPart):
+            own: Any = supported.part
+            masses.append(np.atleast_1d(np.asarray(own.mass, dtype=float)))
+    masses += [_masses_beside(part.scene) for part in rolling_parts(scene.supported)]
     return np.concatenate([np.zeros(0), *masses])

@@ -19,6 +19,7 @@ from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .mesh import Mesh, body_size, plate_mesh, surface_mesh
 from .motion_samples import MotionSamples, motion_samples
+from .rolling_meshes import RollingMeshes, rolling_meshes
 
 # More frames would only make the page larger: it moves smoothly between them.
 MOST_FRAMES = 2000
@@ -83,7 +84,9 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
         unit), ``frames`` (columns of :class:`MotionSamples`; ``energy`` is the relative
         error where an energy is kept; those of the base only where it moves), ``body``
         and ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
-        chart has no point). Arrays are written as ``type``, ``unit``, ``shape`` and
+        chart has no point), ``rolling`` (of each body that rolls on or in the body:
+        ``body``, the surface ``on`` which it does, meshes, and its place). Arrays are
+        written as ``type``, ``unit``, ``shape`` and
         ``data`` (base64, little endian, in that unit); ``points`` of a mesh are shares
         of the box from ``low`` to ``high`` [m].
 
@@ -121,6 +124,7 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
         else ["energy", "J"],
         "frames": _frames(motion),
         "body": _mesh_data(body),
+        "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion)],
         "base": _base_data(trajectory, motion, size),
     }
 
@@ -132,7 +136,10 @@ def _frames(motion: MotionSamples) -> dict[str, Any]:
     thin = motion.rows(kept)
     columns = thin.columns
     columns["energy"] = motion.energy_error[kept] if motion.kept else thin.energy
-    left_out = {"moving_energy", "alpha"}
+    left_out = {"moving_energy", "alpha", "rolling"}
+    for k in range(thin.rolling.shape[1]):
+        for name in ("position", "velocity", "orientation", "angular_velocity"):
+            columns[f"rolling_{k}_{name}"] = thin.rolling_column(k, name)
     if not motion.masses.size:
         left_out |= {"carried"}
     if not motion.base_moves:
@@ -167,6 +174,17 @@ def _base_data(
     margin = 1.3 * size + 0.1 * float(extent)
     mesh = surface_mesh(surface, motion.contact_on_base, motion.base_outward, margin)
     return _mesh_data(mesh)
+
+
+def _rolling_data(own: RollingMeshes) -> dict[str, Any]:
+    """A body that rolls on or in the body, and the surface on which it does."""
+    return {
+        "body": _mesh_data(own.body),
+        "on": None if own.on is None else _mesh_data(own.on),
+        "carrier": own.carrier,
+        "place": own.place.tolist(),
+        "turn": own.turn.tolist(),
+    }
 
 
 def _mesh_data(mesh: Mesh) -> dict[str, Any] | None:

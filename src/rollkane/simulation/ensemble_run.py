@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..codegen import NoCompilerError, Results
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes, of
 from ..integration.backends import METHODS
@@ -126,6 +127,8 @@ class EnsembleRun:
         check_span(scene, self.times)
         if modes is None:
             check_start(scene, start)
+        else:
+            refuse_rolling_parts("ensemble.modes", scene.supported)
 
     def _choose(self) -> None:
         """The loop over lanes, if it serves; else ``simulate`` goes its own way."""

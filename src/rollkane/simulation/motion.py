@@ -18,6 +18,7 @@ from ..hybrid.modes import Mode, ModedState, by_mode
 from ..kinematics.coordinates import State
 from ..validation.codes import Code
 from .event_record import Crossings
+from .rolling_body_result import RollingBodyResult
 
 Observable: TypeAlias = Callable[[Scene, Float[Array, ""], Any], Any]
 
@@ -83,6 +84,23 @@ class AbstractMotion(abc.ABC):
         values = evaluated(observable, *samples)
         known = all(map(_is_numpy, jax.tree.leaves(samples.state)))
         return jax.tree.map(np.asarray, values) if known else values
+
+    @property
+    def samples(self) -> Samples:
+        """States, with their scene and times."""
+        return self._samples()
+
+    def rolling_body(self, *path: int) -> RollingBodyResult:
+        """Motion of a body that rolls on or in the rolling body.
+
+        Args:
+            *path: Which: index among the bodies that roll on the rolling body (0 when
+                left out); then among those that roll on that one, and so on.
+
+        Raises:
+            FieldError: there is no such body.
+        """
+        return RollingBodyResult(self, path or (0,))
 
     @property
     def mode(self) -> Int[Array, " T"]:

@@ -254,7 +254,7 @@ def _simulate_modes(
     stop: Any,
 ) -> Trajectory:
     """A run that changes between rolling, slipping and flight."""
-    check_modes(start, modes)
+    check_modes(scene, start, modes)
     dtype = start.angular_velocity.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)

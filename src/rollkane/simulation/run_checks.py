@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from ..dynamics.abstract_supported import refuse_rolling_parts, rolling_parts
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
 from ..hybrid.modes import Modes
@@ -43,10 +44,13 @@ def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
                 "has rolling without slipping only, and no dry resistance",
                 f'use "{general}", or Rolling() without dry resistance',
             )
+        if value != general:
+            refuse_rolling_parts(field, scene.supported)
 
 
-def check_modes(start: object, modes: object) -> None:
+def check_modes(scene: Scene, start: object, modes: object) -> None:
     """Refuse modes, or a start, that no run through changes can have."""
+    refuse_rolling_parts("simulate.modes", scene.supported)
     if not isinstance(modes, Modes):
         raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
     known = State, SlidingState, FlyingState
@@ -59,17 +63,17 @@ def check_modes(start: object, modes: object) -> None:
         )
 
 
-def check_start(scene: Scene, start: object) -> None:
+def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
     """Refuse a start that does not belong to the scene."""
     if not isinstance(start, (State, VoronetsState)):
         remedy = "make it with rollkane.place"
         if isinstance(start, list):
             remedy += "; several starts are rollkane.ensemble's"
-        raise FieldError("simulate.start", start, "must be a State", remedy)
+        raise FieldError(where, start, "must be a State", remedy)
     slips = scene.contact.slips
     if slips != start.slips:
         raise FieldError(
-            "simulate.start",
+            where,
             start,
             f"is no state of a body that {'slips' if slips else 'rolls'}",
             "place the body in this scene",
@@ -93,11 +97,21 @@ def check_start(scene: Scene, start: object) -> None:
         shape = getattr(start, field).shape
         if shape != wanted:
             raise FieldError(
-                f"simulate.start.{field}",
+                f"{where}.{field}",
                 shape,
                 f"must have shape {wanted} in this scene",
                 "place the body in this scene (a batch of starts needs jax.vmap)",
             )
+    bodies = rolling_parts(scene.supported)
+    if len(bodies) != len(start.supported):
+        raise FieldError(
+            f"{where}.supported",
+            f"{len(start.supported)} states",
+            f"must have one for each RollingBody of the scene, {len(bodies)}",
+            "place the body with supported=, in pole-free coordinates",
+        )
+    for k, (part, own) in enumerate(zip(bodies, start.supported, strict=True)):
+        check_start(part.scene, own, f"{where}.supported[{k}]")
 
 
 def check_span(scene: Scene, times: Any) -> None:

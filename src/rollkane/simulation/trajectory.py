@@ -1,19 +1,16 @@
 """What came out: a trajectory, with everything else computed from it when asked."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..dynamics import observables
 from ..dynamics.diagnosis import first_not_finite
-from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, ModedState, Switches
 from ..kinematics.voronets import AnyState
@@ -21,6 +18,7 @@ from ..validation.checks import is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, outcome_of
 from ..validation.shown import described, in_a_line
 from .event_record import EventRecord
+from .first_pull import first_pull
 from .motion import AbstractMotion, Axis, Samples
 
 
@@ -114,7 +112,7 @@ class Trajectory(AbstractMotion):
         """
         if self.switches is not None:
             return self.switches.first_lift
-        return _first_pull(self.time, self.scene, self.state)
+        return first_pull(observables.normal_force, self.time, self.scene, self.state)
 
     def to_xarray(self) -> Any:
         """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""
@@ -148,58 +146,3 @@ class Trajectory(AbstractMotion):
         from ..pictures.viewer import write_view
 
         write_view(self, path, title=title)
-
-
-def _pressing(scene: Scene, t: Array, state: Any) -> tuple[Array, Array]:
-    """Normal force and its rate along the motion [N], [N/s]."""
-    rates = rolling_derivative(scene, t, state)
-    force: Callable[[Array, Any], Array] = lambda t, s: observables.normal_force(
-        scene, t, s
-    )
-    return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
-
-
-@eqx.filter_jit
-def _first_pull(time: Array, scene: Scene, state: Any) -> Array:
-    if time.ndim > 1:
-        return jax.vmap(_first_pull)(time, scene, state)
-    # one state after the other: mapped over all, it takes four times as long to compile
-    one: Callable[[tuple[Array, Any]], tuple[Array, Array]] = lambda x: _pressing(
-        scene, *x
-    )
-    values, slopes = cast(tuple[Array, Array], jax.lax.map(one, (time, state)))
-    return _first_fall(time, values, slopes)
-
-
-def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
-    """First time at which a sampled function with slopes is not positive; else NaN."""
-    grid = jnp.linspace(0.0, 1.0, 17, dtype=time.dtype)
-
-    def cubic(i: Array, x: Array) -> Array:
-        span = time[i + 1] - time[i]
-        v0, v1 = values[i], values[i + 1]
-        d0, d1 = slopes[i] * span, slopes[i + 1] * span
-        bend = (3.0 * (v1 - v0) - 2.0 * d0 - d1) + (d0 + d1 - 2.0 * (v1 - v0)) * x
-        return v0 + x * (d0 + x * bend)
-
-    intervals = jnp.arange(time.shape[0] - 1)
-
-    def looked_at(i: Array) -> Array:
-        at: Callable[[Array], Array] = lambda x: cubic(i, x)
-        return jax.vmap(at)(grid)
-
-    inside = jax.vmap(looked_at)(intervals)
-    fallen = (inside <= 0).reshape(-1)
-    first = jnp.argmax(fallen)
-    i, k = first // 17, first % 17
-    low, high = grid[jnp.maximum(k - 1, 0)], grid[k]
-
-    def halve(_: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bounds
-        mid = 0.5 * (low + high)
-        below = cubic(i, mid) <= 0
-        return jnp.where(below, low, mid), jnp.where(below, mid, high)
-
-    _, x = cast(tuple[Array, Array], jax.lax.fori_loop(0, 60, halve, (low, high)))
-    found = time[i] + x * (time[i + 1] - time[i])
-    return jnp.where(jnp.any(fallen), found, jnp.nan)

@@ -24,7 +24,7 @@ from ..dynamics import observables
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import cross, dot, matvec
-from .newton import Asked, Point, directions, sizes_of
+from .newton import Asked, Point
 from .problem import RollingProblem
 
 _Observable: TypeAlias = Callable[[Any, Array, Any], Array]
@@ -156,7 +156,7 @@ def energy_sign(
     kind = observables.kept_energy(problem.scene)
     if not kind:
         return _none("the scene keeps no energy")
-    size = sizes_of(asked, point)
+    size = point.size
     slopes = np.asarray(_slopes(problem, kind, point.state), float) * size
     kept = [False] * len(MOMENTA)
     if np.linalg.norm(slopes[0]) > _first(slopes):  # at rest no momentum is needed
@@ -174,7 +174,7 @@ def energy_sign(
     rows = np.stack([needed, *_spare(slopes, kept, chosen)])
     second = _second(problem, kind, any(kept), point.state, rows)
     seconds = np.asarray(second, float) * size[:, None] * size[None]
-    S = np.linalg.qr(directions(point.local, size).moved / size[:, None])[0]
+    S = point.group.moved
     basis = _complement(np.concatenate([S, slopes[chosen].T], axis=1))
     best = _best(basis.T @ seconds @ basis)
     weights, Q = best @ rows, np.tensordot(best, seconds, 1)

@@ -65,7 +65,7 @@ def tangent(
     w, spin = _fixed(scene, time, state, one.turn[0]), one.spin[0]
     q = state.orientation
     left = multiply(jnp.concatenate([jnp.zeros_like(w[:1]), 0.5 * w]), q)
-    parts = {
+    parts: dict[str, Any] = {
         "orientation": left - quaternion_rates(q, spin),
         "angular_velocity": cross(spin, state.angular_velocity),
         "contact_on_base": _affine(one.on_base[0], state.contact_on_base),
@@ -90,7 +90,7 @@ def moved_by(
     turn = rotation_of(_fixed(scene, time, state, one.turn[0]))
     spin = rotation_of(-one.spin[0])
     state = turned(state, turn, rotation_matrix(turn))
-    parts = shared_parts(state) | {
+    parts: dict[str, Any] = shared_parts(state) | {
         "orientation": multiply(state.orientation, spin),
         "angular_velocity": rotation_matrix(spin).T @ state.angular_velocity,
         "contact_on_base": _flowed(one.on_base[0], state.contact_on_base),

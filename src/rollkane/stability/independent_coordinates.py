@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
@@ -192,7 +193,12 @@ def independent_coordinates(
 
 
 def refuse_kind(scene: Scene, state: Any) -> None:
-    """Refuse a state that is in flight, in charts, or of another contact law."""
+    """Refuse a state that is in flight, in charts, or of another contact law.
+
+    And a scene in which bodies roll on the rolling body: their coordinates are not
+    here.
+    """
+    refuse_rolling_parts("scene", scene.supported)
     wanted = SlidingState if scene.contact.slips else State
     if type(state) is not wanted:
         remedy = f"give a {wanted.__name__}, as rollkane.place makes it"

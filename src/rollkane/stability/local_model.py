@@ -3,7 +3,8 @@
 One compiled program gives all that Newton's method, continuation and eigenvalues need.
 """
 
-from collections.abc import Callable, Sequence
+import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..codegen.compile_effort import for_one_call
+from ..codegen.compile_effort import Fixed, for_one_call, joined, parted
 from ..identification import paths
 from .problem import AbstractProblem
 from .quantities import Quantity
@@ -55,19 +56,20 @@ def with_parameter(
     return problem.with_model(paths.replaced(problem.model, keys, value))
 
 
-@for_one_call
 def _local(
-    problem: AbstractProblem,
-    keys: paths.Keys | None,
+    fixed: Fixed,
+    arrays: Sequence[Any],
     start: Any,
     step: Float[Array, " n"],
     xi: Float[Array, " K"],
     p: Float[Array, ""],
-) -> tuple[Any, dict[str, Array]]:
+) -> tuple[Any, Array]:
+    """The state; as images residual, slope by x and p, rates, generators; basis."""
+    problem, keys = joined(fixed, arrays)
     state = with_parameter(problem, keys, p).moved(start, step)
     n, K = step.shape[0], xi.shape[0]
 
-    def at(z: Array) -> tuple[Array, Array]:
+    def at(z: Array) -> tuple[Array, tuple[Array, Array]]:
         x, p_there = z[:n], z[n]
         there = with_parameter(problem, keys, p_there)
         y = there.moved(state, x)
@@ -76,53 +78,46 @@ def _local(
             return there.image(state, y)
 
         place, along = cast(tuple[Array, Any], jax.linearize(image, y))
-        rates, group = there.rates(y), there.generator(y, xi)
-        own, moved = cast(Array, along(rates)), cast(Array, along(group))
-        return jnp.concatenate([place, own - moved]), own
+
+        def generated(velocities: Array) -> Array:
+            return cast(Array, along(there.generator(y, velocities)))
+
+        own, moved = cast(Array, along(there.rates(y))), generated(xi)
+        groups = own[:, None][:, :0]
+        if K:
+            groups = jax.vmap(generated)(jnp.eye(K, dtype=xi.dtype)).T
+        return jnp.concatenate([place, own - moved]), (own, groups)
 
     z = jnp.concatenate([jnp.zeros_like(step), p[None]])
-    linear = cast(tuple[Array, Any, Array], jax.linearize(at, z, has_aux=True))
-    value, along, own = linear
+    value, along, (own, groups) = cast(
+        tuple[Array, Any, tuple[Array, Array]], jax.linearize(at, z, has_aux=True)
+    )
     slopes = cast(Array, jax.vmap(along)(jnp.eye(n + 1, dtype=step.dtype))).T
-    here, m = with_parameter(problem, keys, p), value.shape[0] // 2
+    m = value.shape[0] // 2
     basis = slopes[:m, :n]
-    size = jnp.sqrt(jnp.sum(basis * basis, axis=0))
-    scaled = basis / size[None]
-    square = scaled.T @ scaled
-
-    def reduced(columns: Array) -> Array:
-        x = cast(Array, jnp.linalg.solve(square, scaled.T @ columns))
-        return x / size[:, None]
-
-    def generated(velocities: Array) -> Array:
-        move = here.generator(state, velocities)
-        image: Callable[[Any], Array] = lambda y: here.image(state, y)
-        return jax.jvp(image, (state,), (move,))[1]
-
-    groups = jax.vmap(generated)(jnp.eye(K, dtype=xi.dtype)).T if K else basis[:, :0]
     columns = [value[m:, None], slopes[m:], own[:, None], groups]
-    parts = reduced(jnp.concatenate(columns, axis=1))
-    return state, {
-        "residual": parts[:, 0],
-        "slope": parts[:, 1 : n + 1],
-        "by_parameter": parts[:, n + 1],
-        "rates": parts[:, n + 2],
-        "groups": parts[:, n + 3 :],
-        "basis": basis,
-    }
+    return state, jnp.concatenate([*columns, basis], axis=1)
 
 
-@for_one_call
+_local_model = for_one_call(
+    _local, functools.partial(jax.jit, static_argnames=("fixed",))
+)
+
+
 def _held(
-    problem: AbstractProblem,
-    keys: paths.Keys | None,
+    fixed: Fixed,
     quantities: tuple[Quantity, ...],
+    arrays: Sequence[Any],
     state: Any,
     still: Float[Array, " n"],
     xi: Float[Array, " K"],
     p: Float[Array, ""],
-) -> dict[str, Array]:
-    """Values and slopes of quantities: a program of its own, since few last long."""
+) -> Float[Array, "q n+K+2"]:
+    """Quantities, a row each: value, slopes by x, p and xi.
+
+    A program of its own, since few last long.
+    """
+    problem, keys = joined(fixed, arrays)
     n = still.shape[0]
 
     def at(z: Array) -> Array:
@@ -133,12 +128,12 @@ def _held(
     z = jnp.concatenate([still, p[None], xi])
     value, along = cast(tuple[Array, Any], jax.linearize(at, z))
     slopes = cast(Array, jax.vmap(along)(jnp.eye(z.shape[0], dtype=z.dtype))).T
-    return {
-        "held": value,
-        "held_by_x": slopes[:, :n],
-        "held_by_parameter": slopes[:, n],
-        "held_by_group": slopes[:, n + 1 :],
-    }
+    return jnp.concatenate([value[:, None], slopes], axis=1)
+
+
+_held_values = for_one_call(
+    _held, functools.partial(jax.jit, static_argnames=("fixed", "quantities"))
+)
 
 
 @for_one_call
@@ -169,38 +164,82 @@ def values_along(
     return np.asarray(_values(problem, keys, one, stacked, xis, ps))
 
 
-def local_model(
+def _reduced(
+    basis: Float[np.ndarray, "m n"], columns: Float[np.ndarray, "m k"]
+) -> Float[np.ndarray, "n k"]:
+    """Coordinates of changes of the image: on the host, where XLA takes longer."""
+    size = np.sqrt(np.sum(basis * basis, axis=0))
+    if not np.isfinite(size).all():
+        return np.full((size.size, columns.shape[1]), np.nan)
+    size[size == 0.0] = 1.0
+    scaled = basis / size
+    try:
+        x = cast(np.ndarray, np.linalg.solve(scaled.T @ scaled, scaled.T @ columns))
+    except np.linalg.LinAlgError:  # no coordinates there: the rank tells
+        x = cast(np.ndarray, np.linalg.pinv(scaled)) @ columns
+    return x / size[:, None]
+
+
+class LocalProgram(NamedTuple):
+    """What gives the local models of one problem, for many states.
+
+    Attributes:
+        fixed: What of the problem, and of the keys of its parameter, is no array.
+        arrays: Theirs.
+        quantities: Of which values and slopes are wanted.
+    """
+
+    fixed: Fixed
+    arrays: list[Any]
+    quantities: tuple[Quantity, ...]
+
+    def __call__(
+        self, start: Any, step: np.ndarray, xi: np.ndarray, p: float
+    ) -> tuple[Any, LocalModel]:
+        """The state at a step from a start, and the problem around it.
+
+        Args:
+            start: A state.
+            step: In its independent coordinates, shape (n,).
+            xi: Group velocities, shape (K,).
+            p: Value of the parameter.
+        """
+        dtype = jax.tree.leaves(start)[0].dtype
+        step, xi, at = (np.asarray(x, dtype) for x in (step, xi, p))
+        n, fixed, arrays = step.size, self.fixed, self.arrays
+        found = _local_model(fixed, arrays, start, step, xi, at)
+        state, held = found[0], np.zeros((0, n + xi.size + 2))
+        if self.quantities:
+            still = np.zeros_like(step)
+            more = fixed, self.quantities, arrays, state, still, xi, at
+            held = _held_values(*more)
+        parts, held = (np.asarray(x, float) for x in (found[1], held))
+        basis = parts[:, -n:]
+        parts = _reduced(basis, parts[:, :-n])
+        return state, LocalModel(
+            residual=parts[:, 0],
+            slope=parts[:, 1 : n + 1],
+            rates=parts[:, n + 2],
+            groups=parts[:, n + 3 :],
+            held=held[:, 0],
+            held_by_x=held[:, 1 : n + 1],
+            held_by_group=held[:, n + 2 :],
+            by_parameter=parts[:, n + 1],
+            held_by_parameter=held[:, n + 1],
+            basis=basis,
+        )
+
+
+def local_program(
     problem: AbstractProblem,
     keys: paths.Keys | None,
     quantities: tuple[Quantity, ...],
-    start: Any,
-    step: np.ndarray,
-    xi: np.ndarray,
-    p: float,
-) -> tuple[Any, LocalModel]:
-    """The state at a step from a start, and the problem around it, in NumPy's double.
+) -> LocalProgram:
+    """What gives the local models of a problem.
 
     Args:
         problem: What is asked.
         keys: Of the parameter in the model; None: there is none.
         quantities: Of which values and slopes are wanted.
-        start: A state.
-        step: In its independent coordinates, shape (n,).
-        xi: Group velocities, shape (K,).
-        p: Value of the parameter.
     """
-    dtype = jax.tree.leaves(start)[0].dtype
-    step, xi, at = (np.asarray(x, dtype) for x in (step, xi, p))
-    state, found = _local(problem, keys, start, step, xi, at)
-    n, K = step.size, xi.size
-    nothing = np.zeros((0, n + K + 1))
-    held: dict[str, Any] = {
-        "held": nothing[:, 0],
-        "held_by_x": nothing[:, :n],
-        "held_by_parameter": nothing[:, 0],
-        "held_by_group": nothing[:, n + 1 :],
-    }
-    if quantities:
-        held = _held(problem, keys, quantities, state, 0.0 * step, xi, at)
-    known = {name: np.asarray(x, float) for name, x in (found | held).items()}
-    return state, LocalModel(**known)
+    return LocalProgram(*parted((problem, keys)), quantities)

@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from ..identification import paths
-from .local_model import LocalModel, local_model
+from .local_model import LocalModel, LocalProgram, local_program
 from .problem import AbstractProblem
 from .quantities import Quantity
-from .surface_motions import echelon, null_space
+from .surface_motions import echelon
 
 # Shares of the largest singular value, of equations whose rows have unit length: what
 # is less is zero. In double precision zeros are 1e-13 or less where curvatures are of
@@ -62,20 +62,12 @@ class Asked(NamedTuple):
     fast: tuple[bool, ...] = ()
 
 
-class Point(NamedTuple):
-    """A state with group velocities and a parameter, and the problem around it."""
-
-    state: Any
-    xi: np.ndarray
-    p: float
-    local: LocalModel
-
-
 class Directions(NamedTuple):
     """The group at a point.
 
     Attributes:
-        moved: Orthonormal directions in which it moves the state, shape (n, r).
+        moved: Directions in which it moves the state, orthonormal where coordinates
+            are measured by their sizes, shape (n, r).
         idle: Group velocities that leave the state where it is, one row each, with a
             place of its own each, shape (K - r, K).
     """
@@ -84,25 +76,46 @@ class Directions(NamedTuple):
     idle: np.ndarray
 
 
-def sizes_of(asked: Asked, point: Point) -> np.ndarray:
-    """What coordinates are measured by: velocities by the angular velocity."""
-    fast = np.asarray(asked.fast)
-    quick = max(1.0, float(np.abs(point.xi).max(initial=0.0)))
-    return np.where(fast, quick, 1.0)
+class Point(NamedTuple):
+    """A state with group velocities and a parameter, and the problem around it.
+
+    Attributes:
+        state: That.
+        xi: Group velocities, shape (K,).
+        p: Parameter.
+        local: The problem around it.
+        size: What coordinates are measured by, velocities by the angular velocity,
+            shape (n,).
+        group: Where the group moves it.
+    """
+
+    state: Any
+    xi: np.ndarray
+    p: float
+    local: LocalModel
+    size: np.ndarray
+    group: Directions
 
 
-def directions(local: LocalModel, size: np.ndarray) -> Directions:
+def _directions(local: LocalModel, size: np.ndarray) -> Directions:
     """Where the group moves a state, by the rank of its generators."""
-    scaled = local.groups / size[:, None]
-    length = np.linalg.norm(scaled, axis=0)
-    unit = scaled / np.where(length > 0.0, length, 1.0)
-    if not unit.shape[1]:
+    if not local.groups.shape[1]:
         return Directions(np.zeros((size.size, 0)), np.zeros((0, 0)))
-    left, values, _ = np.linalg.svd(unit)
-    rank = int(np.sum(values > SMALL * max(1.0, values[0])))
-    moved = np.linalg.qr(size[:, None] * left[:, :rank])[0]
-    idle = null_space(unit, SMALL * max(1.0, float(values[0])))
-    idle = idle / np.where(length > 0.0, length, 1.0)
+    scaled = local.groups / size[:, None]
+    length = np.sqrt(np.sum(scaled * scaled, axis=0))
+    if not np.isfinite(length).all():  # of bad numbers, which no step is to take
+        return Directions(np.zeros((size.size, 0)), np.zeros((0, length.size)))
+    length[length == 0.0] = 1.0
+    unit = scaled / length
+    left, values, across = np.linalg.svd(unit)
+    least = SMALL * max(1.0, float(values[0]))
+    moved = left[:, : int(np.sum(values > least))]
+    full = np.zeros(length.size)
+    full[: values.size] = values
+    idle = across[full <= least]
+    if not idle.shape[0]:
+        return Directions(moved, idle)
+    idle = idle / length
     return Directions(moved, echelon(idle / np.linalg.norm(idle, axis=1)[:, None]))
 
 
@@ -116,14 +129,24 @@ def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     return cast(np.ndarray, np.linalg.pinv(matrix, rcond=SMALL))
 
 
+def program_of(asked: Asked) -> LocalProgram:
+    """What gives points; made once for a search, where a point takes half a ms."""
+    return local_program(asked.problem, asked.keys, asked.quantities)
+
+
 def point_at(
-    asked: Asked, state: Any, step: np.ndarray, xi: np.ndarray, p: float
+    asked: Asked,
+    program: LocalProgram,
+    state: Any,
+    step: np.ndarray,
+    xi: np.ndarray,
+    p: float,
 ) -> Point:
     """The point at a step from a state."""
-    there, local = local_model(
-        asked.problem, asked.keys, asked.quantities, state, step, xi, p
-    )
-    return Point(there, xi, p, local)
+    there, local = program(state, step, xi, p)
+    quick = max(1.0, float(np.abs(xi).max(initial=0.0)))
+    size = np.where(asked.fast, quick, 1.0)
+    return Point(there, xi, p, local, size, _directions(local, size))
 
 
 def mismatch(asked: Asked, point: Point) -> np.ndarray:
@@ -140,8 +163,7 @@ def equations(asked: Asked, point: Point) -> tuple[np.ndarray, np.ndarray]:
     Rows: the residual, phase conditions (no motion along the group, no idle velocity),
     what is held.
     """
-    local, size = point.local, sizes_of(asked, point)
-    group = directions(local, size)
+    local, size, group = point.local, point.size, point.group
     n, K, q = size.size, point.xi.size, len(asked.quantities)
     r, idle = group.moved.shape[1], group.idle.shape[0]
     rows = np.zeros((n + r + idle + q, n + K + 1))
@@ -188,6 +210,7 @@ def solved(
     step: np.ndarray | None = None,
     border: np.ndarray | None = None,
     tries: int = _TRIES,
+    program: LocalProgram | None = None,
 ) -> Solved:
     """Levenberg and Marquardt's method from a guess, to rounding.
 
@@ -200,18 +223,22 @@ def solved(
         border: Row of (x, xi, p) that all further steps have to be at right angles
             to; None: p is kept.
         tries: Most steps; 0: none, the guess itself.
+        program: Of the same problem, parameter and quantities, where it is made.
     """
     n, K = len(asked.names), xi.size
     step = np.zeros(n) if step is None else step
-    point, done = point_at(asked, state, step, xi, p), np.zeros(n)
+    program = program_of(asked) if program is None else program
+    point, done = point_at(asked, program, state, step, xi, p), np.zeros(n)
     matrix, right = _bordered(asked, point, done, xi, p, border)
     error, damping = _size(right), 0.0
     for _ in range(tries):
+        if error < ROUNDING:
+            break
         move = _damped(matrix, right, damping)
-        scale = sizes_of(asked, point)
-        x, own = move[:n] * scale, move[n : n + K] * scale.max()
+        x = move[:n] * point.size
+        own = move[n : n + K] * point.size.max()
         p_next = point.p + (0.0 if border is None else float(move[-1]) * asked.unit)
-        trial = point_at(asked, point.state, x, point.xi + own, p_next)
+        trial = point_at(asked, program, point.state, x, point.xi + own, p_next)
         there = _bordered(asked, trial, done + x, xi, p, border)
         size = _size(there[1])
         if size < error:  # false of bad numbers, too
@@ -219,7 +246,7 @@ def solved(
             point, done, error = trial, done + x, size
             matrix, right = there
             damping = 0.0 if damping < _LEAST else 0.1 * damping
-            if error < ROUNDING or (settles and error < SOLVED):
+            if settles and error < SOLVED:
                 break
             continue
         if error < SOLVED or damping > _MOST:
@@ -248,7 +275,7 @@ def _bordered(
 
 def unit_steps(asked: Asked, point: Point) -> np.ndarray:
     """What a unit of each unknown (x, xi, p) of the scaled equations is."""
-    size = sizes_of(asked, point)
+    size = point.size
     return np.concatenate([size, np.full(point.xi.size, size.max()), [asked.unit]])
 
 

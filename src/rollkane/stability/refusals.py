@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..validation.checks import FieldError
-from .newton import SMALL, SOLVED, Asked, Point, Solved, followed, sizes_of, solved
+from .newton import SMALL, SOLVED, Asked, Point, Solved, followed, solved
 
 # Of a quantity's change along a symmetry, beside its largest change. The symmetry's own
 # numbers are known to 1e-9 (what it was found by), slopes better; what a symmetry does
@@ -23,7 +23,7 @@ _RESTS, _AWAY = 1e-3, 10.0
 
 def refuse_moving(field: str, asked: Asked, point: Point) -> None:
     """Refuse held quantities that a symmetry does not leave fixed."""
-    local, size = point.local, sizes_of(asked, point)
+    local, size = point.local, point.size
     for k, q in enumerate(asked.quantities):
         slope = local.held_by_x[k] * size
         for j, name in enumerate(asked.problem.group):
@@ -43,7 +43,7 @@ def refuse_overheld(asked: Asked, point: Point, family: np.ndarray) -> None:
     q = len(asked.quantities)
     if not q:
         return
-    local, size = point.local, sizes_of(asked, point)
+    local, size = point.local, point.size
     follow = followed(local)
     rows: np.ndarray = local.held_by_x + local.held_by_group @ follow
     length = np.linalg.norm(rows * size[None], axis=1)
@@ -101,7 +101,7 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
 def _faster(asked: Asked, state: Any, point: Point) -> float:
     """How much faster a search went than its guess, by the rates of the coordinates."""
     first = solved(asked, state, np.zeros(point.xi.size), 0.0, tries=0).point
-    size = sizes_of(asked, first)
+    size = first.size
     before, after = (
         float(np.linalg.norm(one.local.rates / size)) for one in (first, point)
     )

@@ -72,7 +72,7 @@ def spectrum(
     """
     A = local.slope / size[:, None] * size[None]
     n = size.size
-    S = np.linalg.qr(group.moved / size[:, None])[0]
+    S = group.moved
     norm = float(np.linalg.norm(A))
     left, Q, family, slow, counts = _deflated(A, _complement(S), norm, dimensions)
     values, vectors = _eigen(left)
@@ -183,11 +183,14 @@ def _of_group(
 def _independent(columns: np.ndarray) -> list[int]:
     """As many columns as their rank, the first ones that will do."""
     chosen: list[int] = []
-    for j in range(columns.shape[1]):
+    r, count = columns.shape
+    if count == r and np.linalg.svd(columns, compute_uv=False)[-1] > _APART:
+        return list(range(count))  # of these the first ones are further apart still
+    for j in range(count):
         tried = np.linalg.svd(columns[:, [*chosen, j]], compute_uv=False)
         if tried[-1] > _APART:
             chosen.append(j)
-    return chosen[: columns.shape[0]]
+    return chosen[:r]
 
 
 def _labelled(
@@ -198,9 +201,11 @@ def _labelled(
     names: list[str] = []
     seen = np.zeros((0, d))
     for name, slope in labels:
+        if len(names) == d:
+            break
         row = slope @ family
         length = float(np.linalg.norm(row))
-        if len(names) == d or length <= _APART * float(np.linalg.norm(slope)):
+        if length <= _APART * float(np.linalg.norm(slope)):
             continue
         tried = np.concatenate([seen, row[None] / length])
         if np.linalg.svd(tried, compute_uv=False)[-1] > _APART:

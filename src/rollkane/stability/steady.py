@@ -20,10 +20,10 @@ from .newton import (
     Asked,
     Point,
     Solved,
-    directions,
     followed,
+    point_at,
+    program_of,
     pseudo_inverse,
-    sizes_of,
     solved,
 )
 from .problem import AbstractProblem, rolling_problem
@@ -143,13 +143,15 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     asked = Asked(problem, None, quantities, np.zeros(len(quantities)))
     asked = asked._replace(names=names, fast=fast)
     start = np.zeros(len(problem.group))
-    first = solved(asked, state, start, 0.0, tries=0).point
+    program = program_of(asked)
+    first = point_at(asked, program, state, np.zeros(len(names)), start, 0.0)
     refuse_rank(first.local.basis)
     given = zip(values, first.local.held, strict=True)
     wanted = [float(own) if v is None else v for v, own in given]
     asked = asked._replace(values=np.array(wanted, float))
     refuse_moving("steady_motion.hold", asked, first)
-    found = solved(asked, state, guessed_velocities(asked, first), 0.0)
+    xi = guessed_velocities(first)
+    found = solved(asked, state, xi, 0.0, program=program)
     if not found.error < SOLVED:
         refuse_unsolved(asked, state, found)
     return motion_of(asked, found)
@@ -178,14 +180,14 @@ def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
     return rolling_problem(scene, symmetries(scene)), guess
 
 
-def guessed_velocities(asked: Asked, point: Point) -> np.ndarray:
+def guessed_velocities(point: Point) -> np.ndarray:
     """Group velocities that come nearest to the rates of a state."""
-    local, size = point.local, sizes_of(asked, point)
+    local, size = point.local, point.size
     scaled = local.groups / size[:, None]
     if not scaled.shape[1]:
         return np.zeros(0)
     xi = pseudo_inverse(scaled) @ (local.rates / size)
-    for row in directions(local, size).idle:  # the first of those that do the same
+    for row in point.group.idle:  # the first of those that do the same
         place = int(np.argmax(np.abs(row)))
         xi = xi - xi[place] / row[place] * row
     return xi
@@ -219,8 +221,7 @@ def spectrum_at(
     asked: Asked, point: Point, dimensions: tuple[int, ...] | None = None
 ) -> Spectrum:
     """Eigenvalues at a solution; of a family of known dimensions, or by rank."""
-    local, size = point.local, sizes_of(asked, point)
-    group = directions(local, size)
+    local = point.local
     names = asked.problem.group
     labels = [
         (q.name, row)
@@ -230,5 +231,5 @@ def spectrum_at(
     follow = followed(local)
     labels += [(f"velocity of {n}", row) for n, row in zip(names, follow, strict=True)]
     coordinates = asked.names
-    labels += list(zip(coordinates, np.eye(size.size), strict=True))
-    return spectrum(local, size, group, names, labels, dimensions)
+    labels += list(zip(coordinates, np.eye(len(coordinates)), strict=True))
+    return spectrum(local, point.size, point.group, names, labels, dimensions)

@@ -146,8 +146,9 @@ def echelon(rows: np.ndarray) -> np.ndarray:
     """
     a: np.ndarray = np.array(rows, float)
     places: list[int] = []
+    first = np.linspace(1.0, 1.0 - 1e-6, a.shape[1])
     for k in range(a.shape[0]):
-        left: np.ndarray = np.abs(a[k:]) * np.linspace(1.0, 1.0 - 1e-6, a.shape[1])
+        left: np.ndarray = np.abs(a[k:]) * first
         row, column = divmod(int(np.argmax(left)), a.shape[1])
         a[[k, k + row]] = a[[k + row, k]]
         a[k] /= a[k, column]

@@ -17,6 +17,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced
@@ -145,12 +146,16 @@ def symmetries(scene: Scene) -> Symmetries:
     Returns:
         ``Symmetries``: group velocities are in [m/s] and [rad/s].
 
+    Raises:
+        FieldError: a traced scene, or one in which bodies roll on the rolling body.
+
     Source: docs/theory.md, (10.1).
     """
-    if is_traced(scene):
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
+    if is_traced(leaves):
         problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
         raise FieldError("symmetries.scene", "a traced scene", problem, remedy)
-    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
+    refuse_rolling_parts("symmetries.scene", scene.supported)
     known = [np.asarray(x) for x in leaves]
     key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
     if key not in _FOUND:

@@ -8,12 +8,22 @@ from typing import Any
 from pydantic import ValidationError
 
 from .limits import MOST_PARTS
-from .positions import Given, Path
+from .positions import Given, Path, given_at
 from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at
 
 _PAIRS = (("orientation", "rotations"), ("angular_velocity", "angular_velocity_body"))
-_TABLES = ("body", "base", "surface", "motion", "contact", "modes", "start", "run")
+_TABLES = (
+    "body",
+    "base",
+    "surface",
+    "on",
+    "motion",
+    "contact",
+    "modes",
+    "start",
+    "run",
+)
 _WANTED = {
     "float_type": "must be a number",
     "int_type": "must be a whole number",
@@ -127,18 +137,8 @@ def _note_missing(path: Path, report: Report, remedy: str) -> None:
     report.add(path, "is missing", f"{add}: {remedy.removeprefix('give ')}")
 
 
-def _found(document: Any, path: Path) -> Any:
-    """What stands at a path; None where nothing does."""
-    for step in path:
-        try:
-            document = document[step]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return document
-
-
 def _kind_of(path: Path, document: dict[str, Any]) -> Any:
-    table: Given = _found(document, path)
+    table: Given = given_at(document, path)
     return table.get("kind") if isinstance(table, dict) else None
 
 
@@ -185,8 +185,11 @@ def _with_likely_kinds(document: dict[str, Any]) -> dict[str, Any] | None:
         parts: Given = document.get(name)
         count = len(parts) if isinstance(parts, list) else 0
         paths += [(name, i) for i in range(count)]
+    rolling: Given = document.get("rolling")
+    for i in range(len(rolling) if isinstance(rolling, list) else 0):
+        paths += [("rolling", i, "on"), ("rolling", i, "body", "surface")]
     for path in paths:
-        table: Given = _found(changed, path)
+        table: Given = given_at(changed, path)
         likely = likely_kind(table, kinds_at(path)) if isinstance(table, dict) else None
         if isinstance(table, dict) and likely:
             table["kind"] = likely

@@ -46,6 +46,16 @@ def positions(text: str) -> dict[Path, Place]:
     return scanner.places
 
 
+def given_at(document: Any, path: Path) -> Any:
+    """What a document holds at a path; None where it holds nothing."""
+    for step in path:
+        try:
+            document = document[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return document
+
+
 def line_and_column(text: str, offset: int) -> tuple[int, int]:
     """Line and column of an offset, both counted from 1."""
     before = text[:offset]

@@ -15,27 +15,19 @@ from ...dynamics.bodies import Body
 from ...dynamics.placement import place
 from ...dynamics.scene import Base, Scene, Slipping, under
 from ...geometry.numpy_rotations import rotated
-from ...geometry.surfaces import AbstractSurface, Sphere
+from ...geometry.surfaces import Sphere
 from ...hybrid.modes import Modes
 from ...integration.integrate import LOOSEST
 from ...kinematics.coordinates import State
 from ...validation.checks import FieldError
-from .checking import likely_kind
-from .construction import attempt, made_from, product_of_turns, usable
-from .formulas import Formula
+from .construction import attempt, product_of_turns, usable
 from .load_building import contact_of, loads_of, modes_of
-from .motion_building import checked_formulas, motion_of, supported_of
-from .positions import Given, Path
+from .motion_building import motion_of, supported_of
 from .problems import Report
-from .tables import SURFACES, BodyTable, StartTable
+from .rolling_building import rolling_of
+from .surface_building import body_of, surface_of
+from .tables import StartTable
 
-# kind -> (argument of its constructor, fields with formulas, coordinates)
-_BY_FORMULA = {
-    "graph": ("f", ("f",), ("x", "y")),
-    "revolution": ("profile", ("radius", "height"), ("s",)),
-    "parametric": ("position", ("x", "y", "z"), ("q1", "q2")),
-    "implicit": ("f", ("f",), ("x", "y", "z")),
-}
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
@@ -48,67 +40,33 @@ def build(report: Report) -> tuple[Scene, State, Modes | None] | None:
     Returns:
         The scene, its start and its modes, or None where something was wrong.
     """
-    body = _body(report)
+    body = body_of(("body",), report)
     base = _base(report)
     loads, law = loads_of(report), contact_of(report)
     modes = modes_of(report)
-    supported = supported_of(report)
+    supported, rolling = supported_of(report), rolling_of(report)
     _check_tolerance(report)
-    scene = None
-    found = base is not None and loads is not None and supported is not None
-    if body is not None and law is not None and found:
-        scene = Scene(body, base, supported, loads, law)
-    start = _start(scene, report)
+    scene, states = None, ()
+    found = base is not None and loads is not None and law is not None
+    if body is not None and supported is not None and found and rolling is not None:
+        parts, states = rolling
+        scene = Scene(body, base, (*supported, *parts), loads, law)
+    start = _start(scene, states, report)
     if scene is None or start is None:
         return None
     return scene, start, modes
 
 
-def _body(report: Report) -> Body | None:
-    surface = _surface(("body", "surface"), report)
-    if not isinstance(report.document.get("body"), dict):
-        return None
-    surface = Sphere(1.0) if surface is None else surface
-    return made_from(("body",), BodyTable, report, surface=surface)
-
-
 def _base(report: Report) -> Base | None:
     if "base" not in report.document:
         return Base()
-    surface = _surface(("base", "surface"), report)
+    surface = surface_of(("base", "surface"), report)
     motion = motion_of(report)
     return (
         None
         if report.has_below(("base",)) or surface is None
         else Base(surface, motion)
     )
-
-
-def _surface(path: tuple[str, str], report: Report) -> AbstractSurface | None:
-    owner: Given = report.document.get(path[0])
-    table: Given = owner.get(path[1]) if isinstance(owner, dict) else None
-    if not isinstance(table, dict):
-        return None
-    kind = likely_kind(table)
-    if kind is None:
-        return None
-    others: dict[str, Any] = {}
-    if kind in _BY_FORMULA:
-        argument, texts, coordinates = _BY_FORMULA[kind]
-        others = usable(path, ("domain",), report)
-        others[argument] = formula = _formula(path, texts, coordinates, report)
-        if formula.parameters:
-            others["parameters"] = table["parameters"]
-    return made_from(path, SURFACES[kind], report, **others)
-
-
-def _formula(
-    path: Path, fields: tuple[str, ...], coordinates: tuple[str, ...], report: Report
-) -> Formula:
-    """The formulas of a surface; zero where one of them cannot be read."""
-    table = report.value(path)
-    where = [((*path, field), table.get(field)) for field in fields]
-    return checked_formulas(path, where, coordinates, report)
 
 
 def _check_tolerance(report: Report) -> None:
@@ -127,7 +85,9 @@ def _check_tolerance(report: Report) -> None:
         report.add(("run", "rtol"), problem, "give 1e-9 for instance")
 
 
-def _start(scene: Scene | None, report: Report) -> State | None:
+def _start(
+    scene: Scene | None, rolling: tuple[State, ...], report: Report
+) -> State | None:
     if not isinstance(report.document.get("start"), dict):
         return None
     given = usable(("start",), StartTable.model_fields, report)
@@ -145,6 +105,7 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         "base_normal": given.get("base_normal"),
         "near_on_body": given.get("near_on_body"),
         "allow_overlap": given.get("allow_overlap", False),
+        "supported": rolling,
     }
     still = np.zeros(0 if scene is None else scene.coordinate_count)
     arguments |= {name: given.get(name, still) for name in ("alpha", "alpha_dot")}
@@ -158,7 +119,7 @@ def _start(scene: Scene | None, report: Report) -> State | None:
         scene = None
         arguments |= {"contact_on_base": (0.0, 0.0, 0.0), "base_normal": None}
         arguments |= {"near_on_body": None, "allow_overlap": True}
-        arguments |= {"alpha": (), "alpha_dot": (), "slip": None}
+        arguments |= {"alpha": (), "alpha_dot": (), "slip": None, "supported": ()}
 
     def note(name: str, error: FieldError) -> None:
         if error.field == "Scene.supported":

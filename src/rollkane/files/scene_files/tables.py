@@ -111,6 +111,74 @@ class StartTable(Table):
     )
 
 
+class RollingStartTable(Table):
+    """Where a rolling body is on its carrier, and how it moves relative to it."""
+
+    orientation: Quaternion | None = Field(
+        default=None,
+        description="a unit quaternion, scalar first, from its own axes to those of "
+        "the surface on which it rolls [1]; left out, the same axes",
+    )
+    rotations: list[Turn] | None = Field(
+        default=None,
+        description='turns [["x", degrees], ...] to the same, instead of orientation',
+    )
+    angular_velocity: Vector = Field(
+        default=[0.0, 0.0, 0.0],
+        description="three components of its angular velocity relative to the carrier, "
+        "axes of the surface [rad/s]",
+    )
+    contact_on_carrier: Vector = Field(
+        description="the contact point on the carrier's surface, its axes [m]"
+    )
+    base_normal: Vector | None = Field(
+        default=None,
+        description="the surface's outward normal there, only for an edge [1]",
+    )
+    near_on_body: Vector | None = Field(
+        default=None,
+        description="a point next to the contact on the body, body axes, where many "
+        "points have its normal [m]",
+    )
+    allow_overlap: bool = Field(
+        default=False,
+        description="true to allow a body that is in its carrier elsewhere",
+    )
+
+
+class RollingTable(Table):
+    """A body that rolls on or in the body, or another one that does."""
+
+    body: Annotated[Table, OneOf((BodyTable,))] = Field(
+        description="a table [rolling.body], as [body]"
+    )
+    on: Surface = Field(
+        description="the surface of the carrier on which it rolls, a table such as "
+        '{ kind = "sphere", radius = 0.1, inside = true } [m]'
+    )
+    carrier: int | None = Field(
+        default=None,
+        ge=0,
+        description="the number of the [[rolling]] table before this one, from 0, of "
+        "the body on which it rolls; left out, the body itself",
+    )
+    without_spin: bool = Field(
+        default=False,
+        description="true where it does not spin about the normal of its contact",
+    )
+    position: Vector | None = Field(
+        default=None,
+        description="three lengths: the origin of the surface's axes in the carrier; "
+        "left out, the carrier's origin [m]",
+    )
+    rotations: list[Turn] | None = Field(
+        default=None,
+        description="turns [[\"x\", degrees], ...] from the surface's to the carrier's "
+        "axes; left out, the same axes",
+    )
+    start: RollingStartTable = Field(description="a table [rolling.start]")
+
+
 class RunTable(Table):
     """How long the motion lasts and how exactly it is computed."""
 
@@ -184,6 +252,10 @@ class SceneTable(Table):
         max_length=MOST_PARTS,
         description="tables [[supported]] of what the body carries",
     )
+    rolling: list[RollingTable] | None = Field(
+        default=None,
+        description="tables [[rolling]] of bodies that roll on or in the body",
+    )
     contact: Contact | None = Field(
         default=None,
         description='a table such as { kind = "coulomb", coefficient = 0.2 }; left '
@@ -205,7 +277,9 @@ class SceneTable(Table):
 def kinds_at(path: Path) -> Mapping[str, type[Table]] | None:
     """The tables that may stand at a path, by their ``kind``; None elsewhere."""
     match path:
-        case ("body" | "base", "surface"):
+        case ("body" | "base", "surface") | ("rolling", int(), "body", "surface"):
+            return SURFACES
+        case ("rolling", int(), "on"):
             return SURFACES
         case ("loads", int()):
             return LOADS
@@ -229,8 +303,17 @@ def table_at(path: Path, kind: Any = None) -> type[Table] | None:
     kinds = kinds_at(path)
     if kinds is not None:
         return kinds.get(kind) if isinstance(kind, str) else None
-    if path[:1] == ("events",) and len(path) == 2:
-        return EventTable
+    match path:
+        case ("events", int()):
+            return EventTable
+        case ("rolling", int()):
+            return RollingTable
+        case ("rolling", int(), "body"):
+            return BodyTable
+        case ("rolling", int(), "start"):
+            return RollingStartTable
+        case _:
+            pass
     tables: dict[Path, type[Table]] = {
         (): SceneTable,
         ("body",): BodyTable,

@@ -150,6 +150,14 @@ rollkane.Motion = class {
     ]) {
       state[name] = this.between(name, at);
     }
+    state.rolling = [];
+    while (`rolling_${state.rolling.length}_position` in this.columns) {
+      const name = `rolling_${state.rolling.length}`;
+      state.rolling.push({
+        position: this.place(`${name}_position`, `${name}_velocity`, at),
+        orientation: this.turned(`${name}_orientation`, `${name}_angular_velocity`, at),
+      });
+    }
     state.base_outward = this.between(this.baseNormals, at);
     state.carried = "carried" in this.columns ? this.between("carried", at) : [];
     const along = (v) => v.reduce((sum, x, i) => sum + x * state.outward[i], 0);

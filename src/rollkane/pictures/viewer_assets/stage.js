@@ -258,9 +258,12 @@ rollkane.Stage = class {
     this.scene = new THREE.Scene();
     this.lights(box.eye);
     this.body = new THREE.Group();
-    if (data.body) this.body.add(this.shell(data.body, data.carried.length > 0));
+    const inside = data.rolling.some(({ carrier, on }) => carrier < 0 && on);
+    const seenThrough = data.carried.length > 0 || inside;
+    if (data.body) this.body.add(this.shell(data.body, seenThrough));
     this.carried = this.masses(data.carried);
-    this.body.add(...this.carried);
+    for (const ball of this.carried) this.body.add(ball);
+    this.rolling = this.rollingBodies(data);
     this.base = new THREE.Group();
     this.spacing = 0;
     if (data.base && data.base.plane) {
@@ -284,7 +287,7 @@ rollkane.Stage = class {
     this.reach = 2 * (arms.reduce((sum, x) => sum + x, 0) / motion.count) + 0.4 * data.size;
     this.arrow = new rollkane.Arrow(0.5 * this.reach);
     this.base.add(this.onBase.group, this.contact);
-    this.scene.add(this.body, this.base, this.arrow.group);
+    this.scene.add(this.body, this.base, this.arrow.group, ...this.rolling);
   }
 
   lights(eye) {
@@ -323,6 +326,23 @@ rollkane.Stage = class {
         );
     shell.traverse((part) => { part.castShadow = true; });
     return shell;
+  }
+
+  // Bodies that roll on or in the body, and the surfaces on which they do.
+  rollingBodies(data) {
+    const groups = data.rolling.map(() => new THREE.Group());
+    data.rolling.forEach(({ body, on, carrier, place, turn }, k) => {
+      const carries = data.rolling.some((other) => other.carrier === k);
+      if (body) groups[k].add(this.shell(body, carries || data.carried.length > 0));
+      if (on) {
+        const surface = this.shell(on, true);
+        surface.position.set(...place);
+        const [w, x, y, z] = turn;
+        surface.quaternion.set(x, y, z, w);
+        (carrier < 0 ? this.body : groups[carrier]).add(surface);
+      }
+    });
+    return groups;
   }
 
   // A ball for each carried mass, of its volume's share.
@@ -374,6 +394,11 @@ rollkane.Stage = class {
     const [bw, bx, by, bz] = state.base.orientation;
     this.base.position.set(...state.base.origin);
     this.base.quaternion.set(bx, by, bz, bw);
+    this.rolling.forEach((group, k) => {
+      const [rw, rx, ry, rz] = state.rolling[k].orientation;
+      group.position.set(...state.rolling[k].position);
+      group.quaternion.set(rx, ry, rz, rw);
+    });
     this.carried.forEach((ball, k) =>
       ball.position.set(...state.carried.slice(3 * k, 3 * k + 3)));
     this.contact.position.set(...state.contact_on_base);
