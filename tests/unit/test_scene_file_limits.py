@@ -4,8 +4,8 @@ import re
 
 import pytest
 
+from rollkane.files.scene_file_limits import MOST_LEVELS, too_deep, too_long
 from rollkane.files.scene_files import SceneFileError, load_scene, scene_text
-from rollkane.files.scene_files.limits import MOST_LEVELS, too_deep, too_long
 
 TEXT = scene_text("rolling-disc").replace("rtol = 1.0e-10", "")
 DEEP = ".".join(["a"] * 50_000)  # 100 kB

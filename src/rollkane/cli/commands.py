@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from .. import __version__
-from ..files.scene_files.limits import MOST_OUTPUTS
+from ..files.scene_file_limits import MOST_OUTPUTS
 from .event_options import ended, event_lines, watched
 from .fit_command import fit
 from .output_files import check_targets, force_option, telling_of_files, write

@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from .limits import MOST_PARTS
+from ..scene_file_limits import MOST_PARTS
 from .positions import Given, Path, given_at
 from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ..scene_file_limits import too_deep, too_long
 from .changes import change
 from .checking import check_document
-from .limits import too_deep, too_long
 from .positions import positions
 from .problems import Problem, Report, SceneFileError, nearest
 from .tables import RunTable

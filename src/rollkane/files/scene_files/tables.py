@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from ..scene_file_limits import MOST_OUTPUTS, MOST_PARTS
 from .derived_tables import OneOf, table_of
-from .limits import MOST_OUTPUTS, MOST_PARTS
 from .load_tables import CONTACTS, LOADS, ModesTable
 from .moving_tables import MOTIONS, SUPPORTED
 from .positions import Given, Path
