@@ -209,7 +209,7 @@ def test_unknown_scene():
         (["--rtol", "1e-20"], "is below what float64 can hold"),
         (["--atol", "-1"], "-1 is not a positive number"),
         (["--duration", "zero"], "'zero' is not a number"),
-        (["--outputs", "1"], "1 is not in the range x>=2"),
+        (["--outputs", "1"], "1 is not in the range 2<=x<=10000000"),
         (["--max-steps", "0"], "0 is not in the range x>=1"),
         (["--rtoll", "1"], "--rtol"),
     ],

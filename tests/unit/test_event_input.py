@@ -1,5 +1,6 @@
 """Events that cannot be looked for: the field, the value and the remedy."""
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -49,7 +50,7 @@ WRONG = {
     "cannot be traced by JAX": {"events": rk.Event(lambda s, t, y: y.nothing)},
     "simulate.adjoint: cannot be chosen with events": {
         "events": rk.Event(clock),
-        "adjoint": "any",
+        "adjoint": dfx.DirectAdjoint(),
     },
 }
 

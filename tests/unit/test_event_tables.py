@@ -3,6 +3,7 @@
 from typing import get_args
 
 import click.testing
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -79,7 +80,7 @@ def test_events_of_a_scene_file_are_found(scene_path):
 
 
 def at(states):
-    return type(states)(**{name: x[0] for name, x in vars(states).items()})
+    return jax.tree.map(lambda x: x[0], states)
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,8 @@ def test_a_page_of_several_records(several):
 def test_files(several, tmp_path):
     several[0].plot(tmp_path / "a.png")
     several[0].write_report(tmp_path / "a.html", "stones")
+    with pytest.raises(rk.FieldError, match=r"ending \.txt is not known.* \.html"):
+        several[0].write_report(tmp_path / "a.txt")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "a.html").read_text().endswith("</html>\n")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.html", "a.png"]

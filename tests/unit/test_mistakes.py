@@ -1,10 +1,15 @@
 """Mistakes of a first evening: each is refused with the way out of it."""
 
+import re
+import warnings
+from pathlib import Path
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import rollkane as rk
 
@@ -143,3 +148,74 @@ def test_a_list_of_states_is_followed_by_derivatives():
         return runs.final.position[0, 0]
 
     assert np.isclose(jax.grad(way)(2.0), 0.01, atol=1e-9, rtol=0.0)
+
+
+# -- docs/mistakes.md ------------------------------------------------------------------
+
+PAGE = (Path(__file__).parents[2] / "docs" / "mistakes.md").read_text()
+ROW = re.compile(r"^\| (\d+) \| `(.+?)` \| (.+?) \| (.+) \|$", re.MULTILINE)
+ROWS = {row[0]: row[1:] for row in ROW.findall(PAGE)}
+
+
+@pytest.fixture(scope="module")
+def names():
+    """What the page's program defines, and a scene in single precision."""
+    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    found = {}
+    exec(program, found)
+    single = lambda tree: jax.tree.map(lambda x: x.astype(jnp.float32), tree)
+    both = single(found["scene"]), single(found["start"])
+    found["scene32"], found["start32"] = both
+    return found
+
+
+def fixed_axes(state):
+    """The angular velocity of a state on fixed axes."""
+    x, y, z = np.asarray(state.orientation)[1:]
+    turn = Rotation.from_quat([x, y, z, float(state.orientation[0])])
+    return turn.as_matrix() @ np.asarray(state.angular_velocity)
+
+
+# What a silent row's value is, which tells that it was taken as the page says.
+SILENT = {
+    "2": lambda state: (
+        Rotation.from_quat(np.asarray(state.orientation), scalar_first=True).magnitude()
+        == np.pi
+    ),
+    "4": lambda state: np.linalg.norm(state.angular_velocity) == 360.0,
+    # orientations of 3-4-5 triangles: exact to some roundings of 9 rad/s
+    "5": lambda state: (
+        np.allclose(fixed_axes(state), [0, 0, 9], rtol=0, atol=1e-14)
+        and abs(float(state.angular_velocity[2])) < 8.0
+    ),
+    "9": lambda body: body.inertia[0, 0] == 0.004 + 0.05**2,
+    "24": lambda run: not run.succeeded and np.isnan(run.position[-1]).all(),
+}
+
+
+def test_the_page_has_twenty_rows_and_more():
+    assert [int(number) for number in ROWS] == list(range(1, len(ROWS) + 1))
+    assert len(ROWS) >= 20
+    silent = {number for number, (_, happens, _) in ROWS.items() if "silent" in happens}
+    assert silent == set(SILENT)
+
+
+@pytest.mark.parametrize("number", ROWS)
+def test_a_row_of_the_page(number, names, monkeypatch):
+    written, happens, instead = ROWS[number]
+    assert instead
+    if number in SILENT:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert SILENT[number](eval(written, names))
+        return
+    kind, says = re.fullmatch(r'(\w+): "(.+)"', happens).groups()
+    if kind == "FieldError":
+        with pytest.raises(rk.FieldError, match=re.escape(says)):
+            eval(written, names)
+        return
+    assert kind == "UserWarning"
+    monkeypatch.setattr("rollkane.integration.integrate._warned", set())
+    switched = jax.enable_x64(number != "1")  # a reader of row 1 has not set it
+    with switched, pytest.warns(UserWarning, match=re.escape(says)):
+        eval(written, names)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rollkane.files.scene_files import load_scene
-from rollkane.pictures.summary import sign_changes, summary
+from rollkane.pictures.summary import reversals, sign_changes, summary
 from rollkane.simulation.run import simulate
 
 
@@ -41,6 +41,33 @@ def test_a_touch_and_a_sample_at_zero():
     assert sign_changes(time, time - 2, np.ones(3)).size == 0
 
 
+def test_a_ripple_about_zero_reverses_nothing():
+    """A slow turn of 1 with a ripple of 0.15: zeros by the dozen, three reversals."""
+    time = np.linspace(0.0, 10.0, 2001)
+    slow, fast = 2 * np.pi / 6, 40.0
+    value = np.cos(slow * time) + 0.15 * np.cos(fast * time)
+    rate = -slow * np.sin(slow * time) - 0.15 * fast * np.sin(fast * time)
+    zeros = sign_changes(time, value, rate)
+    assert zeros.size > 6
+    found = reversals(time, value, rate, 0.2)
+    assert found.size == 3
+    # where the slow turn is as large as the ripple at most: asin(0.15) / slow
+    np.testing.assert_allclose(found, [1.5, 4.5, 7.5], rtol=0, atol=0.151 / slow)
+    assert set(found) <= set(zeros)
+    # each is the last zero before the other side: none lies between it and that side
+    for at in found:
+        later = time > at
+        side = np.sign(value[later][np.abs(value[later]) > 0.2 * 1.15][0])
+        until = time[later][np.abs(value[later]) > 0.2 * 1.15][0]
+        assert not np.any((zeros > at) & (zeros < until))
+        assert side == np.sign(np.cos(slow * until))
+    # backwards in time the sides are taken in the other order, as often
+    assert reversals(time[::-1], value[::-1], rate[::-1], 0.2).size == 3
+    # a spin that never gets far to the other side has not turned
+    assert reversals(time, 0.9 + value, rate, 0.2).size == 0
+    assert reversals(time, 0 * value, rate, 0.2).size == 0
+
+
 def listed(text: str, pattern: str) -> list[float]:
     """Numbers of the first match of a pattern."""
     found = re.search(pattern, text)
@@ -51,16 +78,20 @@ def listed(text: str, pattern: str) -> list[float]:
 def test_summary():
     """What is told of the stone, against differences of the positions of its run."""
     file = load_scene("rattleback")
-    step = 1e-4  # [s]: two reversals are 0.3 ms apart
-    run = simulate(file.scene, file.start, np.arange(30001) * step, rtol=1e-10)
+    step = 1e-4  # [s]: zeros of the ripple before the last are 2.8 ms apart
+    run = simulate(file.scene, file.start, np.arange(35001) * step, rtol=1e-10)
     text = " ".join("\n".join(summary(run)).split())
     time, spin = np.asarray(run.time), np.asarray(run.angular_velocity)[:, 2]
-    (turns,) = np.nonzero(spin[:-1] * spin[1:] < 0)
-    # linear between samples: off by step^2 w'' / (8 w'), where w'' / w' is 2 / (0.3 ms)
+    far = np.nonzero(np.abs(spin) > 0.2 * np.abs(spin).max())[0]
+    turned = far[1:][spin[far[1:]] * spin[far[:-1]] < 0]
+    (zeros,) = np.nonzero(spin[:-1] * spin[1:] < 0)
+    assert zeros.size > turned.size == 1  # of a ripple, and of the stone
+    turns = np.array([zeros[zeros < k][-1] for k in turned])
+    # linear between samples: off by step^2 w'' / (8 w'), where w'' / w' is 2 / (2.8 ms)
     # between two so near; and rounded to 1e-4 s
     when = time[turns] - spin[turns] * step / (spin[turns + 1] - spin[turns])
-    told = listed(text, r"about the normal reversals ([\d., ]+) s")
-    np.testing.assert_allclose(told, when, rtol=0, atol=step**2 / 1.2e-3 + 5e-5)
+    told = listed(text, r"about the normal 1 reversal ([\d., ]+) s")
+    np.testing.assert_allclose(told, when, rtol=0, atol=step**2 / 1.12e-2 + 5e-5)
     ends = re.search(r"spin (\S+) -> (\S+) rad/s about the normal", text)
     assert ends
     told = [float(end) for end in ends.groups()]
@@ -84,5 +115,8 @@ def test_summary():
     assert drift == pytest.approx(np.abs(energy / energy[0] - 1).max(), rel=0.05)
     counts = listed(text, r"steps (\d+) accepted"), listed(text, r"(\d+) rejected")
     assert counts == ([int(run.steps)], [int(run.rejected_steps)])
-    assert "about body axis z reversals" in text
+    assert "about body axis z 1 reversal" in text
+    assert "more than 20 % of the largest the other way" in text
+    place = listed(text, r"end position \(([-\d.e, ]+)\) m")
+    np.testing.assert_allclose(place, run.position[-1], rtol=1e-5)  # of six digits
     assert "pull" not in text

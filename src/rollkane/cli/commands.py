@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from .. import __version__
+from ..files.scene_file_limits import MOST_OUTPUTS
 from .event_options import ended, event_lines, watched
 from .fit_command import fit
 from .output_files import check_targets, force_option, telling_of_files, write
@@ -52,7 +53,9 @@ for _command in (new, fit, steady, family, monte_carlo, show, doctor):
 @click.option("--rtol", type=Positive(), help="Relative tolerance of a step.")
 @click.option("--atol", type=Positive(), help="Absolute tolerance of a step.")
 @click.option("--duration", type=Positive(), help="Time that the motion lasts [s].")
-@click.option("--outputs", type=click.IntRange(min=2), help="Number of output times.")
+@click.option(
+    "--outputs", type=click.IntRange(2, MOST_OUTPUTS), help="Number of output times."
+)
 @click.option(
     "--max-steps",
     type=click.IntRange(min=1),

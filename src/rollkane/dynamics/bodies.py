@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from ..geometry.small_linear import components, dot
 from ..geometry.surfaces import AbstractSurface
 from ..validation.checks import FieldError, is_traced, positive, real, refuse
+from ..validation.shown import described
 
 # What a user writes for three numbers, and for three rows of them.
 Vector: TypeAlias = ArrayLike | Sequence[ArrayLike]
@@ -75,6 +76,10 @@ class Body(eqx.Module):
             )
         self.surface = surface
         _warn_of_outside(surface, self.center_of_mass)
+
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
 
 
 def _warn_of_outside(surface: AbstractSurface, center: Array) -> None:

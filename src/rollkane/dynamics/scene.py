@@ -12,6 +12,7 @@ from jaxtyping import Array
 from ..geometry.surfaces import AbstractSurface, Plane
 from ..kinematics.base_motion import AbstractBaseMotion
 from ..validation.checks import FieldError
+from ..validation.shown import described
 from .abstract_supported import AbstractSupported, rolling_parts, shares
 from .bodies import Body
 from .friction import AbstractFriction, ViscousFriction
@@ -150,6 +151,10 @@ class Base(eqx.Module):
         self.surface = surface
         self.motion = motion
 
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
+
 
 class Scene(eqx.Module):
     """A body on a base, with what it supports and what acts on it.
@@ -221,6 +226,10 @@ class Scene(eqx.Module):
         self.has_contact_coordinates = (
             body.surface.normal_map(base.surface.is_flat) is None
         )
+
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
 
     @property
     def carries_point(self) -> bool:

@@ -74,7 +74,8 @@ _ROLLING = {
     "contact_force": (_AXIS, "force of its carrier on it", "N", "fixed"),
     "normal_force": ((), "normal force, positive while pressed together", "N", ""),
 }
-_MODE = {"mode": ((), "0 rolls, 1 slips, 2 flies, -1 not reached", "", "")}
+_MODES = "0 rolls, 1 slips, 2 flies, -1 not reached"
+_MODE = {"mode": ((), _MODES, "", "")}
 QUANTITIES = _VARIABLES | _MOVING | _WORK | _SLIDING
 COORDINATES: dict[str, Any] = {
     "axis": ("axis", ["x", "y", "z"]),
@@ -95,9 +96,11 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         ``contact_force``, ``normal_force``, ``friction_ratio``, ``energy``; where
         something is supported ``alpha`` and ``alpha_dot``; where the base moves
         ``base_position``, ``base_rotation`` and ``moving_energy``; where the contact
-        slips ``slip``; where it changes ``slip`` and ``mode``; of each body that rolls
-        on the body, by its path, the likes of ``rolling_0_position``; where the energy
-        may change ``power``.
+        slips ``slip``; where it changes ``slip`` and ``mode``, and over ``switch`` the
+        changes ``switch_time`` [s], ``switch_before``, ``switch_after``, those of one
+        run that there were, of a batch ``switch_count`` and all that is kept; of each
+        body that rolls on the body, by its path, the likes of ``rolling_0_position``;
+        where the energy may change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -115,6 +118,7 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     along = "time" if shared else "sample"
     scene = trajectory.scene
     variables = quantities(trajectory, scene, (*lanes, along))
+    variables |= _switches(trajectory, lanes)
     coordinates = COORDINATES | {
         "time": (
             (along,) if shared else (*lanes, along),
@@ -132,6 +136,34 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         attributes |= {name: value.item() for name, value in ends.items()}
         attributes["reason"] = trajectory.reason
     return xarray.Dataset(variables, coordinates, attributes)
+
+
+def _switches(
+    trajectory: Trajectory, lanes: tuple[str, ...]
+) -> dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]:
+    """Changes of the contact; none in a run without modes."""
+    switches = trajectory.switches
+    if switches is None:
+        return {}
+    count, over = np.asarray(switches.count), (*lanes, "switch")
+    kept = slice(None) if lanes else slice(int(count))
+    about = {
+        "time": ("when the contact changed", "s"),
+        "before": (f"what it did before: {_MODES}", ""),
+        "after": (f"what it did after: {_MODES}", ""),
+    }
+    found: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {
+        f"switch_{name}": (
+            over,
+            np.asarray(getattr(switches, name))[..., kept],
+            labels(*words, ""),
+        )
+        for name, words in about.items()
+    }
+    if lanes:
+        long_name = labels("how often the contact changed", "1", "")
+        found["switch_count"] = lanes, count, long_name
+    return found
 
 
 def quantities(

@@ -1,6 +1,7 @@
 """What a contact may do in a run that changes: roll, slip, fly; and its states."""
 
 import dataclasses
+import enum
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
@@ -15,14 +16,25 @@ from ..dynamics.scene import Flying, Rolling, RubberRolling, Scene, Slipping, un
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec_transposed
 from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
-from ..validation.checks import FieldError, flag, not_negative, positive, refuse, whole
+from ..validation.checks import (
+    FieldError,
+    flag,
+    is_traced,
+    not_negative,
+    positive,
+    refuse,
+    whole,
+)
 
 # Of a scene, the time [s] and a state.
 _Observable: TypeAlias = Callable[[Scene, Array, Any], Any]
 
 
-class Mode:
-    """What the contact does: values of ``Trajectory.mode`` and of ``Switches``."""
+class Mode(enum.IntEnum):
+    """What the contact does: values of ``Trajectory.mode`` and of ``Switches``.
+
+    Whole numbers, which arrays are compared with; ``Mode(2).name`` is ``"FLYING"``.
+    """
 
     ROLLING = 0
     SLIPPING = 1
@@ -253,6 +265,17 @@ class ModedState(eqx.Module):
     direction: Float[Array, "3"]
 
     @property
+    def in_its_mode(self) -> State:
+        """What its known mode uses of it; all of it where no mode was reached."""
+        states = {
+            Mode.ROLLING: self.parts.rolling,
+            Mode.SLIPPING: self.parts.sliding,
+            Mode.FLYING: self.parts.flying,
+        }
+        mode = int(self.mode)
+        return states[Mode(mode)]() if mode in set(Mode) else self.parts
+
+    @property
     def alpha(self) -> Array:
         """Coordinates of what the body supports, shape (n,)."""
         return self.parts.alpha
@@ -316,6 +339,20 @@ class Switches(eqx.Module):
     after: Int[Array, " S"]
     state: HybridState
     count: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        """The changes that there were, a line each; of many runs, types and shapes."""
+        if is_traced(self) or len(jnp.shape(self.count)):
+            return eqx.tree_pformat(self)
+        does = {Mode.ROLLING: "rolls", Mode.SLIPPING: "slips", Mode.FLYING: "flies"}
+        rows = zip(
+            self.time.tolist(), self.before.tolist(), self.after.tolist(), strict=True
+        )
+        lines = [
+            f"\n  {does[Mode(before)]} -> {does[Mode(after)]} at {t:.6g} s,"
+            for t, before, after in list(rows)[: int(self.count)]
+        ]
+        return f"Switches(count={int(self.count)},{''.join(lines)}\n)"
 
     @property
     def first_lift(self) -> Float[Array, ""]:

@@ -216,7 +216,7 @@ def values_in_mode(events: Events, motion: Motion, at: Place) -> Float[Array, " 
         Mode.SLIPPING: slips,
         Mode.FLYING: lambda: values_of(events, scenes.flying, t, y.flying()),
     }
-    branches = [by_mode[i] for i in range(3)]
+    branches = [by_mode[mode] for mode in Mode]
     return cast(Array, jax.lax.switch(mode, branches))
 
 

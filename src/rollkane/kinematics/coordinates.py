@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 from ..geometry.rotations import quaternion_rates
 from ..geometry.small_linear import cross, dot, matvec
 from ..geometry.surfaces import AbstractSurface
+from ..validation.shown import described
 from .base_motion import BaseKinematics
 from .contact import Contact, flight, rolling_contact
 
@@ -61,6 +62,10 @@ class AbstractState(eqx.Module):
     touches: ClassVar[bool] = True  # its body is in contact
     slips: ClassVar[bool] = False
     in_charts: ClassVar[bool] = False
+
+    def __repr__(self) -> str:
+        """Its numbers, with units; angular velocities on BODY axes."""
+        return described(self)
 
     @abc.abstractmethod
     def contact(self, pair: Pair) -> Contact:

@@ -10,9 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..files.atomic_file import write_whole
+from ..files.file_endings import PAGES, wrong_ending
 from ..identification.estimates import Estimates
 from ..identification.report import Row, rows, text_report
 from ..identification.unseen import REMEDY
+from ..validation.checks import FieldError
 from .plot_fit import figure_fit
 from .plot_style import BLUE, INK, RED, png
 
@@ -40,13 +42,18 @@ def write_fit_page(fit: Estimates, path: str | PathLike[str], title: str = "") -
 
     Args:
         fit: What was found.
-        path: Where to; the folder must exist. The file appears whole or not at all.
+        path: Where to, .html; the folder must exist. The file appears whole or not at
+            all.
         title: Heading of the page; plain text.
 
     Raises:
+        FieldError: another ending.
         ImportError: matplotlib is not installed.
         OSError: the file cannot be written.
     """
+    wrong = wrong_ending(path, PAGES)
+    if wrong is not None:
+        raise FieldError("path", str(path), *wrong)
     write_whole(path, fit_page(fit, title).encode())
 
 

@@ -15,6 +15,10 @@ from ..simulation.trajectory import Trajectory
 from .motion_samples import MotionSamples, motion_samples
 
 _MOST_LISTED = 12
+_SIDE = 0.2  # of the largest spin: a ripple about zero that is smaller turns nothing
+_WHAT_REVERSES = (
+    f"(last zeros before more than {100 * _SIDE:g} % of the largest the other way)"
+)
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
 _NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
 _NO_FRICTION = 1e-12  # rounding of forces
@@ -31,11 +35,11 @@ def summary(trajectory: Trajectory) -> list[str]:
 
     Returns:
         Lines: spin about the base's normal and about the body's axis next to it
-        [rad/s] before and after, when they changed sign [s], relative drift of the
-        energy that has to be kept [1] or how it changed [J], when the contact changed
-        [s] in a run with ``modes``, steps, the normal force
-        [N] (or when the contact would first have had to pull), and the friction
-        coefficient that rolling needed [1].
+        [rad/s] before and after, when they reversed [s], other than by a ripple about
+        zero, where the body's origin came to [m], relative drift of the energy that has
+        to be kept [1] or how it changed [J], when the contact changed [s] in a run with
+        ``modes``, steps, the normal force [N] (or when the contact would first have had
+        to pull), and the friction coefficient that rolling needed [1].
 
     Raises:
         FieldError: a batch.
@@ -46,6 +50,7 @@ def summary(trajectory: Trajectory) -> list[str]:
     if rows.size:
         motion = motion.rows(rows)
         lines += _spin_lines(trajectory, motion, rows)
+        lines.append(_place_line(motion))
         lines.append(_energy_line(motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
     lines += _switch_lines(trajectory.switches)
@@ -120,6 +125,35 @@ def sign_changes(
     return changes[inside & (np.abs(changes - time[-1]) > near_end[1])]
 
 
+def reversals(
+    time: Float[np.ndarray, " T"],
+    value: Float[np.ndarray, " T"],
+    rate: Float[np.ndarray, " T"],
+    share: float,
+) -> Float[np.ndarray, " n"]:
+    """Times at which a sampled function reverses, other than by a ripple about zero.
+
+    It has turned back once it has gone beyond a share of its largest size on either
+    side of zero, one after the other; the reversal is its last zero between the two.
+
+    Args:
+        time: Strictly monotonic [s].
+        value: Samples.
+        rate: Their rates [unit of the samples / s].
+        share: Of the largest size, below which no side is taken [1].
+
+    Returns:
+        Times in the order of the samples [s].
+    """
+    beyond = np.nonzero(np.abs(value) > share * np.max(np.abs(value)))[0]
+    side = np.sign(value[beyond])
+    arrived = time[beyond[1:][side[1:] != side[:-1]]]
+    along = np.sign(time[-1] - time[0])
+    zeros = sign_changes(time, value, rate)
+    before = [int(np.sum(along * zeros < along * t)) for t in arrived]
+    return np.array([zeros[count - 1] for count in before if count])
+
+
 def _line(name: str, text: str) -> str:
     return f"  {name:<18}{text}"
 
@@ -146,14 +180,26 @@ def _spin_lines(
         if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
             lines.append(_line("  reversals", "none"))
             continue
-        times = sign_changes(motion.time, spin, rates[:, k])
+        times = reversals(motion.time, spin, rates[:, k], _SIDE)
         listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
         if times.size > _MOST_LISTED:
             listed += f" and {times.size - _MOST_LISTED} more"
         if times.size:
-            listed += " (interpolated between outputs)"
-        lines.append(_line("  reversals", listed if times.size else "none"))
+            lines.append(
+                _line(f"  {times.size} reversal{'s' * (times.size > 1)}", listed)
+            )
+            lines.append(_line("", _WHAT_REVERSES))
+        else:
+            lines.append(_line("  reversals", "none"))
     return lines
+
+
+def _place_line(motion: MotionSamples) -> str:
+    """Where the body's origin was in the end, and how far it had come."""
+    start, end = motion.position[0], motion.position[-1]
+    at = ", ".join(f"{x:.6g}" for x in end)
+    far = f"{np.linalg.norm(end - start):.4g} m from the start"
+    return _line("end position", f"({at}) m, {far}")
 
 
 def _energy_line(motion: MotionSamples) -> str:

@@ -68,7 +68,10 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
 def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
     """Refuse a start that does not belong to the scene."""
     if not isinstance(start, (State, VoronetsState)):
-        raise FieldError(where, start, "must be a State", "make it with rollkane.place")
+        remedy = "make it with rollkane.place"
+        if isinstance(start, list):
+            remedy += "; several starts are rollkane.ensemble's"
+        raise FieldError(where, start, "must be a State", remedy)
     slips = scene.contact.slips
     if slips != start.slips:
         raise FieldError(

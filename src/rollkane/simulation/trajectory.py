@@ -6,6 +6,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..dynamics import observables
@@ -13,7 +14,9 @@ from ..dynamics.diagnosis import first_not_finite
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, ModedState, Switches
 from ..kinematics.voronets import AnyState
-from ..validation.codes import NO_FAULT, Code, Fields
+from ..validation.checks import is_traced
+from ..validation.codes import NO_FAULT, Code, Fields, outcome_of
+from ..validation.shown import described, in_a_line
 from .event_record import EventRecord
 from .first_pull import first_pull
 from .motion import AbstractMotion, Axis, Samples
@@ -57,8 +60,22 @@ class Trajectory(AbstractMotion):
     why: str = dataclasses.field(metadata={"static": True}, default="")
 
     def __repr__(self) -> str:
-        """Shapes and types of everything."""
-        return eqx.tree_pformat(self)
+        """When, how it ended, what moved and where it came to, in a few lines."""
+        several = len(np.shape(self.code)) > 0
+        if several or is_traced(self.code, self.time, self.steps):
+            return described(self)
+        code, time, state = int(self.code), np.asarray(self.time), self.final_state
+        scene, steps = self.scene, f"{int(self.steps)} steps ({self.method})"
+        what = f"{type(scene.body.surface).__name__} of {float(scene.body.mass):g} kg"
+        if isinstance(state, ModedState):
+            state = state.in_its_mode
+        return (
+            f"Trajectory(\n  time={time[0]:g} to {time[-1]:g} s in {time.size} outputs,"
+            f"\n  code={code} ({outcome_of(code)}), final_time="
+            f"{float(self.final_time):g} s, {steps},"
+            f"\n  scene={what} on {type(scene.base.surface).__name__},"
+            f"\n  final_state={in_a_line(state)},\n)"
+        )
 
     def __eq__(self, other: object) -> Any:
         """Whether all numbers are equal."""

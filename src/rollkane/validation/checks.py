@@ -51,6 +51,8 @@ def _shown(value: Any) -> str:
         value = np.asarray(value).tolist()
     name = getattr(value, "__name__", None)
     text = f"the function {name}" if callable(value) and name else repr(value)
+    if not isinstance(value, str):
+        text = " ".join(text.split())  # what is shown in several lines
     return text if len(text) <= 200 else text[:197] + "..."
 
 

@@ -261,7 +261,8 @@ def check_output(
     Raises:
         FieldError: it raises, or returns something of another shape.
     """
-    remedy = f"let it return an array of shape {shape}, by jax.numpy operations"
+    wanted = f"an array of shape {shape}" if shape else "one number alone"
+    remedy = f"let it return {wanted}, by jax.numpy operations"
     try:
         result = jax.eval_shape(function, argument)
     except Exception as error:
@@ -269,8 +270,6 @@ def check_output(
             field, function, f"cannot be traced by JAX ({error})", remedy
         ) from error
     if getattr(result, "shape", None) != shape:
-        if not shape:
-            remedy = "let it return one number alone, by jax.numpy operations"
         raise FieldError(field, function, f"returns {_form(result)}", remedy)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from ..scene_file_limits import MOST_PARTS
 from .positions import Given, Path, given_at
 from .problems import Report, dotted, nearest, suggestion
 from .tables import SURFACES, SceneTable, kinds_at, table_at
@@ -44,7 +45,11 @@ def check_document(document: dict[str, Any], report: Report) -> None:
     Args:
         document: The file's tables, as ``tomllib`` gives them.
         report: Takes the problems.
+
+    Raises:
+        SceneFileError: so much is wrong that it is not worth going on.
     """
+    _refuse_too_many(document, report)
     for path, error in _errors(document):
         _note(path, error, document, report)
     # errors behind an unknown kind: read the table as the kind that was likely meant
@@ -56,6 +61,19 @@ def check_document(document: dict[str, Any], report: Report) -> None:
     if isinstance(start, dict):
         for pair in _PAIRS:
             _check_pair(start, pair, report)
+    if report.is_full:  # what is wrong but not noted would be made
+        report.raise_if_any()
+
+
+def _refuse_too_many(document: dict[str, Any], report: Report) -> None:
+    """Refuse lists of more parts than can be checked and made in a moment."""
+    for name in ("loads", "supported", "events"):
+        parts: Given = document.get(name)
+        if isinstance(parts, list) and len(parts) > MOST_PARTS:
+            problem = f"must have {MOST_PARTS} entries at most, not {len(parts)}"
+            remedy = "put parts that act alike together, or build the scene in Python"
+            report.add((name,), problem, remedy, at_key=True)
+            report.raise_if_any()
 
 
 def _errors(document: dict[str, Any]) -> Iterator[tuple[Path, Any]]:
@@ -102,6 +120,8 @@ def _note(path: Path, error: Any, document: dict[str, Any], report: Report) -> N
         remedy = suggestion(str(error["input"]), choices)
         noun = "kind" if path[-1] == "kind" else "name"
         report.add(path, f"is not a known {noun}", remedy)
+    elif kind == "less_than_equal":
+        report.add(path, f"must be {context['le']} or less", remedy)
     elif kind == "greater_than_equal":
         report.add(path, f"must be {context['ge']} or more", remedy)
     else:

@@ -11,12 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from ..scene_file_limits import too_deep, too_long
 from .changes import change
 from .checking import check_document
 from .positions import positions
 from .problems import Problem, Report, SceneFileError, nearest
 from .tables import RunTable
 
+_TOO_DEEP = "is nested too deeply", "use fewer brackets"
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
@@ -164,7 +166,7 @@ def _read(source: str | PathLike[str]) -> tuple[str, str, str]:
     path = Path(source)
     try:
         raw = path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:  # the latter of a name with a NUL in it
         raise SceneFileError([_unreadable(source, error)]) from error
     try:
         text = raw.decode("utf-8-sig")
@@ -185,14 +187,15 @@ def _read(source: str | PathLike[str]) -> tuple[str, str, str]:
     return str(path), path.stem, text.replace("\r\n", "\n")
 
 
-def _unreadable(source: str | PathLike[str], error: OSError) -> Problem:
+def _unreadable(source: str | PathLike[str], error: OSError | ValueError) -> Problem:
     known = sorted(_builtin_files())
     near = nearest(str(source), known)
     guess = f"did you mean {near}? Else " if near else ""
-    missing = isinstance(error, FileNotFoundError)
-    why = "there is no such file or built-in scene" if missing else error.strerror
+    why = error.strerror if isinstance(error, OSError) else str(error)
+    if isinstance(error, FileNotFoundError):
+        why = "there is no such file or built-in scene"
     return Problem(
-        file=str(source),
+        file=str(source).replace("\0", "\\0"),
         line=0,
         column=0,
         field="",
@@ -205,6 +208,10 @@ def _unreadable(source: str | PathLike[str], error: OSError) -> Problem:
 
 def _parsed(report: Report) -> dict[str, Any]:
     """The file's tables; fills in the places too."""
+    long = too_long(report.text)
+    if long is not None:
+        report.add_at(*long)
+        report.raise_if_any()
     try:
         document = tomllib.loads(report.text)
     except tomllib.TOMLDecodeError as error:
@@ -221,8 +228,11 @@ def _parsed(report: Report) -> dict[str, Any]:
         report.raise_if_any()
         raise
     except RecursionError as error:
-        report.add_at(0, "is nested too deeply", "use fewer brackets")
+        report.add_at(0, *_TOO_DEEP)
         raise SceneFileError(report.problems) from error
+    if too_deep(document):
+        report.add_at(0, *_TOO_DEEP)
+        report.raise_if_any()
     report.document = document
     report.places = positions(report.text)
     return document

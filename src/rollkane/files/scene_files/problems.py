@@ -8,6 +8,9 @@ from typing import Any
 
 from .positions import Path, Place, line_and_column
 
+_WIDEST = 500  # characters that are shown of a line, or of a name
+_MOST_PROBLEMS = 100  # that are noted of a file
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -35,15 +38,19 @@ class Problem:
 
     def __str__(self) -> str:
         """One line that says it all, then the source line with a caret."""
-        name = f"{self.field}: " if self.field else ""
+        name = f"{_shortened(self.field)}: " if self.field else ""
         got = "" if self.value is None else f", got {self.value}"
         where = f":{self.line}:{self.column}" if self.line else ""
         head = f"{self.file}{where}: error: {name}{self.problem}{got} — {self.remedy}"
         if not self.source_line.strip():
             return head
-        before = self.source_line[: self.column - 1]
+        first = max(self.column - 1 - _WIDEST // 2, 0)
+        if len(self.source_line) <= _WIDEST:
+            first = 0
+        before = self.source_line[first : self.column - 1]
         indent = "".join("\t" if c == "\t" else " " for c in before)
-        return f"{head}\n    {self.source_line}\n    {indent}^"
+        shown = self.source_line[first : first + _WIDEST]
+        return f"{head}\n    {shown}\n    {indent}^"
 
 
 class SceneFileError(ValueError):
@@ -60,7 +67,7 @@ class SceneFileError(ValueError):
 
 
 class Report:
-    """Collects the problems of one file."""
+    """Collects the problems of one file, the first hundred that are found."""
 
     def __init__(self, file: str, text: str, document: Any = None):
         r"""Start with none.
@@ -130,6 +137,11 @@ class Report:
         """All problems, in the order of the file."""
         return [p for _, p in sorted(self._found.values(), key=lambda item: item[0])]
 
+    @property
+    def is_full(self) -> bool:
+        """Whether further problems are not noted."""
+        return len(self._found) >= _MOST_PROBLEMS
+
     def raise_if_any(self) -> None:
         """Refuse the file.
 
@@ -162,6 +174,8 @@ class Report:
     def _note(
         self, offset: int, field: str, problem: str, value: str | None, remedy: str
     ) -> None:
+        if self.is_full:  # each looks through the whole text
+            return
         line, column = line_and_column(self.text, offset)
         source = self.text.split("\n")[line - 1]
         self._found.setdefault(
@@ -171,6 +185,10 @@ class Report:
                 Problem(self.file, line, column, field, problem, value, remedy, source),
             ),
         )
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _WIDEST else text[: _WIDEST - 3] + "..."
 
 
 def dotted(path: Path) -> str:

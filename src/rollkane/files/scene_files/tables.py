@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field
 
+from ..scene_file_limits import MOST_OUTPUTS, MOST_PARTS
 from .derived_tables import OneOf, table_of
 from .load_tables import CONTACTS, LOADS, ModesTable
 from .moving_tables import MOTIONS, SUPPORTED
@@ -183,7 +184,10 @@ class RunTable(Table):
 
     duration: Positive = Field(description="the time it lasts [s], positive")
     outputs: int = Field(
-        default=1001, ge=2, description="the number of output times, two or more"
+        default=1001,
+        ge=2,
+        le=MOST_OUTPUTS,
+        description=f"the number of output times, two or more, at most {MOST_OUTPUTS}",
     )
     rtol: Positive | None = Field(
         default=None, description="the relative tolerance of a step, such as 1e-9"
@@ -240,10 +244,13 @@ class SceneTable(Table):
     )
     loads: list[Load] | None = Field(
         default=None,
+        max_length=MOST_PARTS,
         description="tables [[loads]]; left out, gravity; loads = [] for none",
     )
     supported: list[Supported] | None = Field(
-        default=None, description="tables [[supported]] of what the body carries"
+        default=None,
+        max_length=MOST_PARTS,
+        description="tables [[supported]] of what the body carries",
     )
     rolling: list[RollingTable] | None = Field(
         default=None,
@@ -259,7 +266,9 @@ class SceneTable(Table):
         description="a table [modes]; left out, the contact never changes",
     )
     events: list[EventTable] | None = Field(
-        default=None, description="tables [[events]] of what a run looks for"
+        default=None,
+        max_length=MOST_PARTS,
+        description="tables [[events]] of what a run looks for",
     )
     start: StartTable = Field(description="a table [start]")
     run: RunTable = Field(description="a table [run]")

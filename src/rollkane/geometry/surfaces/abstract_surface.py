@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...validation.shown import described
 from ..local_geometry import LocalGeometry
 from .directions import NormalHeading, PointOfNormal, Range, longitude_latitude
 
@@ -32,6 +33,10 @@ class AbstractSurface(eqx.Module):
     is_edge: ClassVar[bool] = False  # several normals at each point
     is_wire: ClassVar[bool] = False  # an edge all round
     searches_distance: ClassVar[bool] = False  # ``signed_distance`` does, over samples
+
+    def __repr__(self) -> str:
+        """Its numbers, with units, in a few lines."""
+        return described(self)
 
     @abc.abstractmethod
     def geometry(self, u: Float[Array, " k"]) -> LocalGeometry:
