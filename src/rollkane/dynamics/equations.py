@@ -37,7 +37,8 @@ def equations_of_motion(scene: Scene, t: Any, state: Any) -> Equations:
 
     A generalized force q, such as :func:`rollkane.with_feedback` adds, is a torque on
     the body, body axes, then a force for each coordinate, then torques of carriers on
-    rolling bodies. Solving M u' = f + q for u' gives rates of the components on body axes.
+    rolling bodies. Solving M u' = f + q for u' gives rates of the components on body
+    axes.
 
     Args:
         scene: What rolls on what, by ``Rolling()`` and without dry resistance.
