@@ -5,6 +5,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.files.scene_files import SceneFileError, load_scene
+from rollkane.pictures.summary import summary
 
 SHELLS = """
 [body]
@@ -81,6 +82,17 @@ def test_a_ball_in_a_shell_in_a_shell(tmp_path):
             by_hand.rolling_body(*path).position,
             atol=1e-12,
         )
+
+
+def test_a_summary_tells_of_each_body(tmp_path):
+    file = loaded(SHELLS, tmp_path)
+    lines = summary(rk.simulate(file.scene, file.start, file.times))
+    for name in ("rolling 0 ", "rolling 0.0 "):
+        at = next(i for i, line in enumerate(lines) if line.strip().startswith(name))
+        assert "ends at (" in lines[at]
+        assert "N at least" in lines[at + 1]
+    # the small ball starts at the side of its cavity, where gravity does not press it
+    assert "its contact would have to pull" in lines[-1]
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,16 @@ from ..dynamics.observables import (
     velocity_of_origin,
 )
 from ..dynamics.rolling import contact_force, contact_of
-from ..dynamics.rolling_body_observables import motion_of, paths_of_rolling
+from ..dynamics.rolling_body_observables import (
+    force_on,
+    motion_of,
+    paths_of_rolling,
+)
 from ..dynamics.scene import Scene
 from ..dynamics.supported import SupportedBody
 from ..geometry.numpy_rotations import rotated
 from ..geometry.rotations import in_one_sense, quaternion_of
-from ..geometry.small_linear import matvec, norm
+from ..geometry.small_linear import dot, matvec, norm
 from ..kinematics.base_motion import BaseKinematics
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
@@ -57,6 +61,7 @@ _ROLLING = {
     "body_outward": 3,
     "contact_on_carrier": 3,
     "carrier_outward": 3,
+    "normal_force": 1,
 }
 
 
@@ -88,7 +93,7 @@ class MotionSamples(NamedTuple):
         rolling: Of each body that rolls on or in the body, in the order of its path:
             position, velocity, orientation and angular velocity, fixed axes, contact
             point on it and normal out of it, its own axes, the same of its carrier's
-            surface, shape (T, b, 25); ``rolling_column`` takes them apart.
+            surface, and the normal force, shape (T, b, 26); ``rolling_column`` takes them apart.
         base_moves: Whether the base moves.
         kept: What the motion has to keep: "energy", "moving energy", or "" where the
             base or forces inside do work.
@@ -296,7 +301,9 @@ def _rolling_rows(scene: Scene, t: Array, state: Any) -> list[Array]:
     rows: list[Array] = []
     for path in paths_of_rolling(scene):
         seen = motion_of(scene, t, state, path)
-        rows += [getattr(seen, name) for name in _ROLLING]
+        press = -dot(force_on(scene, t, state, path), seen.outward)
+        columns = seen._asdict() | {"normal_force": press[None]}
+        rows += [columns[name] for name in _ROLLING]
     return rows
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..dynamics.rolling import contact_of, rolling_derivative
+from ..dynamics.rolling_body_observables import paths_of_rolling
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
 from ..hybrid.modes import Mode, Switches
@@ -39,7 +40,8 @@ def summary(trajectory: Trajectory) -> list[str]:
         zero, where the body's origin came to [m], relative drift of the energy that has
         to be kept [1] or how it changed [J], when the contact changed [s] in a run with
         ``modes``, steps, the normal force [N] (or when the contact would first have had
-        to pull), and the friction coefficient that rolling needed [1].
+        to pull), the friction coefficient that rolling needed [1], and of each body that
+        rolls on or in the body where it came to [m] and its normal force [N].
 
     Raises:
         FieldError: a batch.
@@ -60,6 +62,8 @@ def summary(trajectory: Trajectory) -> list[str]:
     lines.append(_line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
     if rows.size:
         lines += _force_lines(trajectory, motion)
+        for k, path in enumerate(paths_of_rolling(trajectory.scene)):
+            lines += _rolling_lines(motion, k, path)
     return lines
 
 
@@ -239,6 +243,26 @@ def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
         if not np.all(pressed):
             text += " (while pressed together)"
         lines.append(_line("friction needed", text))
+    return lines
+
+
+def _rolling_lines(motion: MotionSamples, k: int, path: tuple[int, ...]) -> list[str]:
+    """Where a body that rolls on or in the body came to, and its normal force."""
+    name = "rolling " + ".".join(str(i) for i in path)
+    place = motion.rolling_column(k, "position")[-1]
+    press = motion.rolling_column(k, "normal_force")[:, 0]
+    least = int(np.argmin(press))
+    text = f"{press[least]:.4g} N at least, t = {motion.time[least]:.4g} s"
+    lines = [
+        _line(name, f"ends at ({', '.join(f'{x:.4g}' for x in place)}) m"),
+        _line("  normal force", text),
+    ]
+    if press[least] < 0.0:
+        when = motion.time[np.argmax(press < 0.0)]
+        lines.append(
+            f"  its contact would have to pull, at the output t = {when:.4g} s first; "
+            "the run assumes that it can"
+        )
     return lines
 
 

@@ -4,18 +4,18 @@ import functools
 from collections.abc import Callable
 from typing import Any, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..codegen.compile_effort import for_one_call
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 
 _Press = Callable[[Scene, Array, Any], Array]
 
 
-@eqx.filter_jit
+@for_one_call
 def first_pull(press: _Press, time: Array, scene: Scene, state: Any) -> Array:
     """When a normal force is first not positive [s]; NaN where it never is.
 
