@@ -40,8 +40,8 @@ def summary(trajectory: Trajectory) -> list[str]:
         zero, where the body's origin came to [m], relative drift of the energy that has
         to be kept [1] or how it changed [J], when the contact changed [s] in a run with
         ``modes``, steps, the normal force [N] (or when the contact would first have had
-        to pull), the friction coefficient that rolling needed [1], and of each body that
-        rolls on or in the body where it came to [m] and its normal force [N].
+        to pull), the friction coefficient that rolling needed [1], and of each body
+        that rolls on or in the body where it came to [m] and its normal force [N].
 
     Raises:
         FieldError: a batch.
