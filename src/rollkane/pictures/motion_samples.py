@@ -93,7 +93,8 @@ class MotionSamples(NamedTuple):
         rolling: Of each body that rolls on or in the body, in the order of its path:
             position, velocity, orientation and angular velocity, fixed axes, contact
             point on it and normal out of it, its own axes, the same of its carrier's
-            surface, and the normal force, shape (T, b, 26); ``rolling_column`` takes them apart.
+            surface, and the normal force, shape (T, b, 26); ``rolling_column`` takes
+            them apart.
         base_moves: Whether the base moves.
         kept: What the motion has to keep: "energy", "moving energy", or "" where the
             base or forces inside do work.
