@@ -13,6 +13,7 @@ from rollkane.codegen.compile_effort import for_one_call
 from rollkane.dynamics import contact_laws, mass_matrix, observables, rolling
 from rollkane.geometry.rotations import tangent_pair
 from rollkane.kane import rolling_scene
+from rollkane.kinematics.coordinates import shared_parts
 from tests.random_scenes import stacked
 
 SEEDS = 12
@@ -58,7 +59,7 @@ def solution_of(scene, t, state):
 
 def rolls(state):
     """The state without its slip."""
-    return rk.State(*[getattr(state, f.name) for f in dataclasses.fields(rk.State)])
+    return rk.State(**shared_parts(state))
 
 
 def pair_of(scene, places, t, q, u):
@@ -77,8 +78,8 @@ def system_of(scene, t, state, slips, rubber, force, moment):
             return now
         first, second = pair_of(scene, places, t, q, u[:turning])
         slip = u[-2] * first + u[-1] * second
-        fields = [getattr(now.state, f.name) for f in dataclasses.fields(now.state)]
-        contact = rk.contact_of(scene, t, rk.SlidingState(*fields, slip=slip))
+        sliding = rk.SlidingState(**shared_parts(now.state), slip=slip)
+        contact = rk.contact_of(scene, t, sliding)
         return now._replace(contact=contact, at_contact=now.at_contact + slip)
 
     def no_spin(t, q, u, now):

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .plans import Rates
+from .plans import RECORDED_STEPS, Rates
 
 # iterations of the power method, of which the last ones are averaged
 _TURNS, _COUNTED = 24, 16
@@ -30,12 +30,15 @@ def longest_step(
     span: Float[Array, ""],
     rtol: Float[Array, ""],
     order: int,
+    ahead: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Longest step [s].
 
     The spectral radius r of the linear model is found by the power method. The error
     of a step of length h of a linear motion is about ``0.01 (h r)^(p + 1) / (p + 1)!``
-    of it for the methods that are used here; ten tolerances are allowed.
+    of it for the methods that are used here; ten tolerances are allowed. The linear
+    model is that of the place where a first step leads, as a start may be a pole of its
+    surface, and the longest step no shorter than half of a record's steps reach over.
 
     Args:
         rates: ``rates(t, y, model)``.
@@ -45,7 +48,9 @@ def longest_step(
         span: Of the run, of either sign [s].
         rtol: Relative tolerance of a step [1].
         order: p, of the method.
+        ahead: Length of the first step [s], of the sign of the span.
     """
+    t, y = t + ahead, y + ahead * rates(t, y, model)
 
     def turned(
         i: Array, carry: tuple[Float[Array, " n"], Float[Array, ""]]
@@ -66,4 +71,5 @@ def longest_step(
     share = 1000.0 * math.factorial(order + 1) * rtol
     within = share ** (1.0 / (order + 1)) / radius
     within = jnp.where(jnp.isfinite(within), within, jnp.inf)
-    return jnp.minimum(within, jnp.abs(span) / LEAST_STEPS)
+    whole = jnp.abs(span)
+    return jnp.clip(within, whole / (RECORDED_STEPS // 2), whole / LEAST_STEPS)

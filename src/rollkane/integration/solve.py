@@ -165,7 +165,7 @@ def _chooser(
     model, _, times, rtol, atol, _, events, *_ = inputs
     controller = plan.controller
     if controller is None:
-        options = rtol, atol, _longest(plan, rates, inputs, recording)
+        options = rtol, atol, _longest(plan, rates, like, inputs, recording)
         controller = _landing(model, times, options, plan, bool(events))
     holds = _holds(plan, model, like)
     if holds is not None:
@@ -210,7 +210,7 @@ def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
 
 
 def _longest(
-    plan: Plan, rates: Rates, inputs: Inputs, recording: bool
+    plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> Float[Array, ""] | None:
     """Longest step of a run that is differentiated [s]; None: of any other."""
     if not recording or plan.controller is not None:
@@ -218,7 +218,8 @@ def _longest(
     model, y0, times, rtol, *_ = inputs
     order = plan.solver.order(dfx.ODETerm(cast(Any, rates)))
     span = times[-1] - times[0]
-    return longest_step(rates, model, times[0], y0, span, rtol, order or 1)
+    ahead = jnp.sign(span) * _first_step(plan, like, inputs)
+    return longest_step(rates, model, times[0], y0, span, rtol, order or 1, ahead)
 
 
 def _natively(
@@ -281,7 +282,7 @@ def _course(
     model, _, times, rtol, atol, *_ = inputs
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     where = landings_of(model, times, plan)
-    longest = _longest(plan, rates, inputs, recording)
+    longest = _longest(plan, rates, like, inputs, recording)
     return Course(
         time=times[0],
         sense=sense,
