@@ -64,7 +64,8 @@ def run_program(text, folder):
 
 # Pages whose programs compile for a minute; what they call has tests of its own.
 LONG = ("events.md", "fit.md", "monte_carlo.md", "periodic.md", "steady.md")
-LONG += ("control.md", "distributions.md", "sensitivity_indices.md")
+LONG += ("control.md", "distributions.md", "rolling_contacts.md")
+LONG += ("sensitivity_indices.md",)
 PROGRAMS = {"README.md": README} | {page.name: page.read_text() for page in PAGES}
 
 

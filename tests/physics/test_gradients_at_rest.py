@@ -20,7 +20,7 @@ def at_the_bottom(w, times, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("span", [0.5, 10.0, 60.0])
+@pytest.mark.parametrize("span", [10.0, 60.0])
 def test_a_ball_at_rest_in_a_bowl(method, span):
     times = np.array([0.0, span])
     w = np.sqrt(5 / 7 * 9.81 / 0.9)  # of small oscillations

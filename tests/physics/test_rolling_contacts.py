@@ -99,6 +99,7 @@ def test_cylinder_in_a_pipe_is_a_pendulum():
 TUBE = {"M": 1.5, "a": 0.5, "m": 0.7, "r": 0.12, "half": 0.3}
 
 
+@pytest.mark.slow
 def test_ball_in_a_tube_that_rolls():
     """Its frequency, with the tube pushed to and fro: g (2 M + 7 m / 5) / (14 M l / 5).
 

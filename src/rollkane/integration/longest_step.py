@@ -24,12 +24,12 @@ LEAST_STEPS = 32
 
 def longest_step(
     rates: Rates,
+    order: int,
     model: Any,
     t: Float[Array, ""],
     y: Float[Array, " n"],
     span: Float[Array, ""],
     rtol: Float[Array, ""],
-    order: int,
     ahead: Float[Array, ""],
 ) -> Float[Array, ""]:
     """Longest step [s].
@@ -42,12 +42,12 @@ def longest_step(
 
     Args:
         rates: ``rates(t, y, model)``.
+        order: p, of the method.
         model: What they depend on.
         t: First time [s].
         y: First state.
         span: Of the run, of either sign [s].
         rtol: Relative tolerance of a step [1].
-        order: p, of the method.
         ahead: Length of the first step [s], of the sign of the span.
     """
     t, y = t + ahead, y + ahead * rates(t, y, model)

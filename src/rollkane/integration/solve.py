@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen import Course, Looked, RunLoop
+from ..codegen import Course, Looked, RunLoop, in_one_program_or_not
 from ..codegen.tableau import is_plain, weights_of
 from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
@@ -219,7 +219,13 @@ def _longest(
     order = plan.solver.order(dfx.ODETerm(cast(Any, rates)))
     span = times[-1] - times[0]
     ahead = jnp.sign(span) * _first_step(plan, like, inputs)
-    return longest_step(rates, model, times[0], y0, span, rtol, order or 1, ahead)
+    longest = functools.partial(longest_step, rates, order or 1)
+    call = _by_xla if plan.zeros is None else in_one_program_or_not
+    return call(longest, model, times[0], y0, span, rtol, ahead)
+
+
+def _by_xla(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
 
 
 def _natively(
