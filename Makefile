@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py tests/unit/test_sampling.py tests/unit/test_store.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -59,6 +59,10 @@ bench-fit: $(VENV)/.bench .venv-sysid/.installed
 .venv-sysid/.installed:
 	-$(PYTHON) -m venv .venv-sysid && .venv-sysid/bin/python -m pip install --quiet \
 		--disable-pip-version-check 'mujoco[sysid]' && touch $@
+
+bench-rolling: $(VENV)/.bench
+	$(BIN)/python benchmarks/rolling_bodies.py --out benchmarks/results
+	$(BIN)/python benchmarks/ball_on_plate.py --out benchmarks/results
 
 bench-sensitivity: $(VENV)/.bench .venv-salib/.installed
 	$(BIN)/python benchmarks/sobol_indices.py --out benchmarks/results --docs docs

@@ -85,11 +85,6 @@ class AbstractMotion(abc.ABC):
         known = all(map(_is_numpy, jax.tree.leaves(samples.state)))
         return jax.tree.map(np.asarray, values) if known else values
 
-    @property
-    def samples(self) -> Samples:
-        """States, with their scene and times."""
-        return self._samples()
-
     def rolling_body(self, *path: int) -> RollingBodyResult:
         """Motion of a body that rolls on or in the rolling body.
 
@@ -100,7 +95,7 @@ class AbstractMotion(abc.ABC):
         Raises:
             FieldError: there is no such body.
         """
-        return RollingBodyResult(self, path or (0,))
+        return RollingBodyResult(self, self._samples(), path or (0,))
 
     @property
     def mode(self) -> Int[Array, " T"]:

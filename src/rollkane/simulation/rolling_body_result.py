@@ -13,9 +13,6 @@ from .first_pull import first_pull
 class _Motion(Protocol):
     def each(self, observable: Any) -> Any: ...
 
-    @property
-    def samples(self) -> Any: ...
-
 
 class RollingBodyResult:
     """Motion of a body that rolls on or in the rolling body, from the ground up.
@@ -28,17 +25,18 @@ class RollingBodyResult:
             that roll on that one, and so on.
     """
 
-    def __init__(self, motion: _Motion, path: tuple[int, ...]):
+    def __init__(self, motion: _Motion, samples: Any, path: tuple[int, ...]):
         """Look at one body.
 
         Args:
             motion: A trajectory or an ensemble.
+            samples: Its states, with their scene and times.
             path: Which body.
 
         Raises:
             FieldError: there is no such body.
         """
-        scene = motion.samples.scene
+        scene = samples.scene
         for depth, k in enumerate(path):
             bodies = rolling_parts(scene.supported)
             if not 0 <= k < len(bodies):
@@ -49,7 +47,7 @@ class RollingBodyResult:
                     f"give numbers below the number of rolling bodies, {len(bodies)}",
                 )
             scene = bodies[k].scene
-        self.motion, self.path = motion, path
+        self.motion, self.path, self._samples = motion, path, samples
 
     def _each(self, name: str) -> Any:
         return self.motion.each(OfRollingBody(name, self.path))
@@ -110,5 +108,5 @@ class RollingBodyResult:
 
         Of one motion; the contact is bilateral and the motion runs on.
         """
-        scene, time, state, _ = self.motion.samples
+        scene, time, state, _ = self._samples
         return first_pull(OfRollingBody("normal_force", self.path), time, scene, state)
