@@ -13,8 +13,12 @@ START = 1e4
 # Of the mean rate over the step: a value that is flatter at its zero is not known to be
 # near it by a secant, but by a bracket as short as that
 FLAT = 1e-3
-# From this try on every second one is the bracket's middle: a secant converges in ten
+# From this try on every second one is the bracket's middle: an interpolation converges
+# in seven
 HALVES_FROM = 10
+# How many ends of tries an interpolation goes through: with five, the number of right
+# digits nearly doubles from try to try
+TRIES = 5
 
 
 class Layout(NamedTuple):
@@ -50,6 +54,7 @@ class Layout(NamedTuple):
             "EVENT_START": int(START),
             "EVENT_FLAT": round(1.0 / FLAT),
             "EVENT_HALVES": HALVES_FROM,
+            "EVENT_TRIES": TRIES,
         }
 
     @property

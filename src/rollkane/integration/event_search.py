@@ -1,4 +1,4 @@
-"""Search for steps that end on events: by secants within a bracket.
+"""Search for steps that end on events: by inverse interpolation within a bracket.
 
 A step that would stand, and behind which an event has changed its sign, is taken back
 and tried again, shorter, until it ends on the first of the zeros. The loop in C does
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen.event_layout import CLOSE, FLAT, HALVES_FROM, START, Layout
+from ..codegen.event_layout import CLOSE, FLAT, HALVES_FROM, START, TRIES, Layout
 
 _Put: TypeAlias = Callable[[Array, Array], Array]
 
@@ -109,8 +109,9 @@ class Search(NamedTuple):
         low: A length of the step with no event behind it [s].
         high: One with some [s].
         due: Which those are, shape (E,).
-        last: The length tried last [s].
-        seen: Values at its end, shape (E,).
+        lengths: Tried last, the newest first; the step's begin, 0, is the oldest [s],
+            shape (K,).
+        seen: Values at their ends, shape (K, E).
         mean: Rates of the values over the whole step, shape (E,).
         whole: Length with which the search began [s].
         tries: How many there were.
@@ -123,8 +124,8 @@ class Search(NamedTuple):
     low: Float[Array, ""]
     high: Float[Array, ""]
     due: Bool[Array, " E"]
-    last: Float[Array, ""]
-    seen: Float[Array, " E"]
+    lengths: Float[Array, " K"]
+    seen: Float[Array, "K E"]
     mean: Float[Array, " E"]
     whole: Float[Array, ""]
     tries: Int[Array, ""]
@@ -141,8 +142,8 @@ class Search(NamedTuple):
             low=zero,
             high=zero,
             due=jnp.zeros(values.shape, bool),
-            last=zero,
-            seen=values,
+            lengths=jnp.zeros(TRIES, zero.dtype),
+            seen=jnp.broadcast_to(values, (TRIES, *values.shape)),
             mean=values,
             whole=zero,
             tries=jnp.asarray(0),
@@ -186,7 +187,8 @@ def judged(
     x = t1 - t0
     begins = ~s.active
     low, high = jnp.where(begins, 0.0, s.low), jnp.where(begins, x, s.high)
-    last, seen = jnp.where(begins, 0.0, s.last), jnp.where(begins, s.values, s.seen)
+    last = jnp.where(begins, 0.0, s.lengths[0])
+    seen = jnp.where(begins, s.values, s.seen[0])
     whole, tries = jnp.where(begins, x, s.whole), jnp.where(begins, 0, s.tries)
     ways = jnp.asarray(layout.ways, values.dtype)
     # a value that reaches zero has crossed it
@@ -219,7 +221,6 @@ def judged(
     side = jnp.where(stands, side, s.side)
     side = jnp.where(found & fires, -s.side, side)
     active = good & searching & ~done
-    trial = _next(s, begins, (low, high, tiny), x, off, flat, due, tries)
     following = Search(
         side=side,
         zero=jnp.where(counted, t1, s.zero),
@@ -228,37 +229,54 @@ def judged(
         low=low,
         high=high,
         due=due,
-        last=x,
-        seen=values,
+        lengths=jnp.stack([x, last, *s.lengths[1:-1]]),
+        seen=jnp.stack([values, seen, *s.seen[1:-1]]),
         mean=mean,
         whole=whole,
         tries=tries + 1,
     )
-    return Found(stands, counted, trial, following)
+    # it jumped between two steps: its zero is where this one begins
+    jumped = begins & (s.values * s.side <= 0.0)
+    return Found(stands, counted, _next(following, jumped, flat, tiny), following)
 
 
 def _next(
-    s: Search,
-    begins: Bool[Array, ""],
-    bracket: tuple[Array, Array, Array],
-    x: Float[Array, ""],
-    off: Float[Array, " E"],
-    flat: Bool[Array, " E"],
-    due: Bool[Array, " E"],
-    tries: Int[Array, ""],
+    s: Search, jumped: Bool[Array, " E"], flat: Bool[Array, " E"], tiny: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """Length of the next try: where the first of the events' secants has its zero."""
-    low, high, tiny = bracket
+    """Length of the next try: where the first of the events has its zero."""
+    low, high = s.low, s.high
     middle = 0.5 * (low + high)
-    root = x - off
+    root = _zeros(s)
     inside = ~flat & (root >= low) & (root <= high)
-    root = jnp.where(inside, root, middle)
-    # it jumped between two steps: its zero is where this one begins
-    jumped = begins & (s.values * s.side <= 0.0)
-    root = jnp.where(jumped, 0.0, root)
-    trial = jnp.min(jnp.where(due, root, high))
+    root = jnp.where(jumped, 0.0, jnp.where(inside, root, middle))
+    trial = jnp.min(jnp.where(s.due, root, high))
     wide = high - low > 2.0 * tiny
     trial = jnp.where(wide, jnp.clip(trial, low + tiny, high - tiny), middle)
-    halves = (tries >= HALVES_FROM) & (tries % 2 == 1)
+    halves = (s.tries > HALVES_FROM) & (s.tries % 2 == 0)
     trial = jnp.where(halves, middle, trial)
     return jnp.where(high - low <= tiny, high, trial)  # the step ends behind the zero
+
+
+def _zeros(s: Search) -> Float[Array, " E"]:
+    """Lengths at which the values are zero.
+
+    Of each, the polynomial of the length in terms of the value through the last tries
+    (Neville), of the order to which its corrections halve.
+    """
+    through: list[Array] = []
+    found = jnp.broadcast_to(s.lengths[0], s.due.shape)
+    change = jnp.full_like(found, jnp.inf)
+    goes = jnp.ones_like(s.due)
+    for m in range(TRIES):
+        through.append(jnp.broadcast_to(s.lengths[m], s.due.shape))
+        for j in reversed(range(m)):
+            apart = s.seen[m] - s.seen[j]
+            goes = goes & (apart != 0.0)
+            step = s.seen[j] * (through[j + 1] - through[j])
+            through[j] = through[j] - step / jnp.where(apart == 0.0, 1.0, apart)
+        if m > 0:
+            moved = jnp.abs(through[0] - found)
+            goes = goes & (moved < 0.5 * change) & (m <= s.tries)
+            change = jnp.where(goes, moved, change)
+            found = jnp.where(goes, through[0], found)
+    return found
