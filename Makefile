@@ -46,6 +46,7 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/kane.py --out benchmarks/results
 	$(BIN)/python benchmarks/contact_changes.py --out benchmarks/results
 	$(BIN)/python benchmarks/steady.py --out benchmarks/results
+	$(BIN)/python benchmarks/events.py --out benchmarks/results
 
 bench-engine: $(VENV)/.bench
 	$(BIN)/python benchmarks/engine.py --out benchmarks/results

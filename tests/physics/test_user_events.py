@@ -131,6 +131,17 @@ def test_both_loops_take_the_same_steps():
     np.testing.assert_allclose(*same, rtol=0, atol=1e-13)
 
 
+def test_a_smooth_event_is_found_in_five_further_tries():
+    scene, start = tilted()
+    reached = lambda scene, t, state: place_of(scene, t, state)[0] ** 3 - 0.1
+    run = rk.simulate(scene, start, (0.0, 3.0), events=(rk.Event(reached, stop=True),))
+    assert run.code == rk.Code.STOPPED
+    # interpolation through all ends of tries multiplies their distances from the zero:
+    # of a step 1/2, 1/2, 1/4, then 2^-4, 2^-8, 2^-15, 2^-29, 2^-56 at worst, which is
+    # the fifth after the first; one more is refused by its error
+    assert int(run.rejected_steps) <= 6
+
+
 def test_a_run_with_events_that_never_come_is_the_run_without():
     """The same steps, and no more of them than without."""
     scene, start = tilted()

@@ -268,25 +268,30 @@ int64_t integrate(const Queue *q, const Results *out) {
         if (!any(a.running)) return turns;
         a.t_end = choose_row(moved, towards(only, a.goal, a.t, a.wanted), a.t_end);
         if (any(fresh)) {
-            rates(q->sense * a.t, a.y, a.own, q->shared, NULL, u, v, first);
-            for (int c = 0; c < N; c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
-        }
 #if EVENTS
-        if (any(a.begun)) {
-            rates_events(q->sense * a.t, a.y, a.own, q->shared, NULL, event_u, event_v, seen);
+            rates_events(q->sense * a.t, a.y, a.own, q->shared, NULL, event_u, event_v, first,
+                         seen);
             for (int e = 0; e < EVENTS; e++) {
                 a.value[e] = choose_row(a.begun, seen[e], a.value[e]);
                 a.side[e] = choose_row(a.begun, sign_row(seen[e]), a.side[e]);
             }
             a.begun = mask_of(0);
-        }
+#else
+            rates(q->sense * a.t, a.y, a.own, q->shared, NULL, u, v, first);
 #endif
+            for (int c = 0; c < N; c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
+        }
         mask paused;
         do {
             const row h = a.t_end - a.t, way = h * q->sense;
             memcpy(k[0], a.k, sizeof a.k);
+#if EVENTS
+            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, u, v, k,
+                    y, error, event_u, event_v, seen);
+#else
             attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, u, v, k,
                     y, error);
+#endif
             row size = splat(0);
             for (int c = 0; c < N; c++) {
                 const row most = max_row(abs_row(a.y[c]), abs_row(y[c]));
@@ -299,8 +304,6 @@ int64_t integrate(const Queue *q, const Results *out) {
             size = choose_row(unbroken(q, &a, y, watch_u, watch_v), size, splat((real)1e12));
 #endif
 #if EVENTS
-            rates_events(a.t_end * q->sense, y, a.own, q->shared, NULL, event_u, event_v,
-                         seen);
             const mask known = events_known(&a, seen);
             size = choose_row(known, size, splat((real)1e12));
             row trial = splat(0);

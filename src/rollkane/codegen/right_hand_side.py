@@ -70,7 +70,8 @@ class Source(NamedTuple):
         back: Of the cotangents; None where they are not asked for.
         watch: Of the vectors that no step may reverse; None where there are none.
         watched: How many plane vectors those are.
-        events: Of the values of events; None where there are none.
+        events: Of the rates, and behind them the values of events; None where there
+            are none.
         layout: Of those.
     """
 
@@ -141,29 +142,33 @@ def lanes_source(
     stage = "row t, const row *restrict y, const row *restrict own"
 
     def written(
-        function: Callable[..., Array], further: int, ending: str
+        function: Callable[..., Any], further: int, ending: str, *names: str
     ) -> tuple[Functions, list[Array], int]:
         time = jax.ShapeDtypeStruct((), state.dtype)
         program = Program(function, time, state, *leaves)
         statements = Statements()
         values, size = _of_lanes(state, leaves, own, zeros)
         closed, traced = _closed(program, size + further, state.dtype)
-        (numbers,) = program(values, statements.operate, closed)
-        result = Result("d", numbers, row=True)
-        made = as_functions(statements, stage, [result], ending)
-        return made, traced, numbers.size
+        found = program(values, statements.operate, closed)
+        results = [Result(*pair, row=True) for pair in zip(names, found, strict=True)]
+        made = as_functions(statements, stage, results, ending)
+        return made, traced, found[0].size
 
-    made, traced, _ = written(derivative, 0, "")
+    made, traced, _ = written(derivative, 0, "", "d")
     source = Source(made, traced)
     if watch is not None:
         behind = sum(math.prod(x.shape) for x in traced)
-        watched, more, size = written(watch, behind, "_watch")
+        watched, more, size = written(watch, behind, "_watch", "d")
         closed = [*traced, *more]
         source = Source(made, closed, watch=watched, watched=size // 2)
     if events is None:
         return source
     behind = sum(math.prod(x.shape) for x in source.closed)
-    seen, more, _ = written(events.values, behind, "_events")
+
+    def both(*given: Any) -> tuple[Array, Array]:  # of a step's last stage
+        return derivative(*given), events.values(*given)
+
+    seen, more, _ = written(both, behind, "_events", "d", "seen")
     closed = [*source.closed, *more]
     return source._replace(closed=closed, events=seen, layout=events.layout)
 

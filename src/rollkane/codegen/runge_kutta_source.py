@@ -26,17 +26,35 @@ def of_bearable_length(texts: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def attempt_source(weights: Weights) -> str:
-    """Stages and error of a Runge-Kutta pair as one C function, ``attempt``."""
+    """Stages and error of a Runge-Kutta pair as one C function, ``attempt``.
+
+    Its last stage is the step's end; where there are EVENTS it gives their values, too.
+    """
+    given = "own, shared, NULL"
     lines = [
         "static void attempt(row t, row t_end, row h, const row *restrict y,",
         "                    const real *restrict shared, const row *restrict own,",
         "                    const real *restrict u, const row *restrict v,",
-        "                    row k[][N], row *restrict y_new, row *restrict error) {",
+        "                    row k[][N], row *restrict y_new, row *restrict error",
+        "#if EVENTS",
+        "                    , const real *restrict event_u, const row *event_v,",
+        "                    row *restrict seen",
+        "#endif",
+        ") {",
     ]
-    for i, (row, time) in enumerate(_stages(weights), 1):
-        lines.append(f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', row)});")
-        lines.append(f"rates({time}, y_new, own, shared, NULL, u, v, k[{i}]);")
-    lines.append(f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});")
+    *before, (row, end) = _stages(weights)
+    for i, (stage, time) in enumerate(before, 1):
+        lines.append(f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', stage)});")
+        lines.append(f"rates({time}, y_new, {given}, u, v, k[{i}]);")
+    lines += [
+        f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', row)});",
+        "#if EVENTS",
+        f"rates_events({end}, y_new, {given}, event_u, event_v, k[STAGES - 1], seen);",
+        "#else",
+        f"rates({end}, y_new, {given}, u, v, k[STAGES - 1]);",
+        "#endif",
+        f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});",
+    ]
     return "\n".join([*lines, "}"])
 
 

@@ -241,7 +241,7 @@ def judged(
 
 
 def _next(
-    s: Search, jumped: Bool[Array, " E"], flat: Bool[Array, " E"], tiny: Float[Array, ""]
+    s: Search, jumped: Bool[Array, " E"], flat: Bool[Array, " E"], tiny: Array
 ) -> Float[Array, ""]:
     """Length of the next try: where the first of the events has its zero."""
     low, high = s.low, s.high
