@@ -12,6 +12,7 @@ from ..geometry.small_linear import components, dot
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from .carried import Carried, Pairing
+from .coordinate_functions import Apart
 
 
 class AbstractSupported(eqx.Module):
@@ -28,9 +29,23 @@ class AbstractSupported(eqx.Module):
         """What is carried, whether its motion is prescribed or not."""
         return self
 
+    @property
+    def apart(self) -> Apart | None:
+        """How its coordinates are shared out among its masses; None: they are not."""
+        return None
+
     @abc.abstractmethod
     def carried(self, t: Array, alpha: Any, alpha_dot: Float[Array, " n"]) -> Carried:
         """Its masses at one instant."""
+
+    def carried_apart(
+        self, t: Array, alpha: Any, alpha_dot: Float[Array, " n"]
+    ) -> Carried:
+        """The same, where they are ``apart`` with fewer columns.
+
+        A column for the first coordinate of every mass, one for the second, ...
+        """
+        return self.carried(t, alpha, alpha_dot)
 
     @abc.abstractmethod
     def generalized_force(

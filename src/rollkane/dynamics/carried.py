@@ -3,6 +3,7 @@
 The mechanics needs nothing else of it.
 """
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import equinox as eqx
@@ -98,6 +99,12 @@ class Carried(eqx.Module):
     turnings: tuple[Turning, ...] = ()
     driven: Float[Array, "3 k"] | None = None
     pairing: Pairing | None = None
+
+
+def without_columns(part: Carried) -> Carried:
+    """A part of point masses or bodies whose coordinates are held."""
+    still = [dataclasses.replace(x, partials=()) for x in part.turnings]
+    return dataclasses.replace(part, partials=(), turnings=tuple(still))
 
 
 def turning_of(

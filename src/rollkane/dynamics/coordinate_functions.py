@@ -1,7 +1,7 @@
 """A user's functions of coordinates alpha: wrapped, counted, and differentiated."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -9,9 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.dependence import reached_numbers
+from ..codegen.scalar_program import NotElementwiseError
+from ..geometry.small_linear import components
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import UserFunction, accepts, check_output
 
+# So many are solved for in one system as fast, and compiled as soon, as one by one.
+FEW = 3
 # Coordinates of one part are counted up to here when the user does not say how many.
 _MOST_COORDINATES = 8
 
@@ -139,13 +144,80 @@ def moved(
     if not alpha.shape[0]:
         value = function(alpha)
         return value, jnp.zeros_like(value), jnp.zeros_like(value), ()
+    rates = rates_of(function, alpha, alpha_dot)
+    partials = tuple(
+        jax.jvp(function, (alpha,), (unit,))[1]
+        for unit in jnp.eye(alpha.shape[0], dtype=alpha.dtype)
+    )
+    return *rates, partials
+
+
+def rates_of(
+    function: UserFunction, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+) -> tuple[Array, Array, Array]:
+    """Value, rate, and second rate at alpha'' = 0."""
 
     def rate(alpha: Float[Array, " n"]) -> tuple[Array, Array]:
         return jax.jvp(function, (alpha,), (alpha_dot,))
 
     (value, velocity), (_, bias) = jax.jvp(rate, (alpha,), (alpha_dot,))
-    partials = tuple(
-        jax.jvp(function, (alpha,), (unit,))[1]
-        for unit in jnp.eye(alpha.shape[0], dtype=alpha.dtype)
-    )
-    return value, velocity, bias, partials
+    return value, velocity, bias
+
+
+class Apart(NamedTuple):
+    """Coordinates each of which moves one mass alone.
+
+    Attributes:
+        each: How many every mass has.
+        masses: How many masses there are.
+        by_mass: Whether those of one mass follow each other in alpha; else the first
+            ones of all masses come first.
+    """
+
+    each: int
+    masses: int
+    by_mass: bool
+
+    def split(self, x: Float[Array, " n"]) -> list[Float[Array, " k"]]:
+        """A number of each coordinate: first ones of all masses, second ones, ..."""
+        if self.by_mass:
+            return components(x.reshape(self.masses, self.each).T)
+        return components(x.reshape(self.each, self.masses))
+
+    def joined(self, parts: list[Float[Array, " k"]]) -> Float[Array, " n"]:
+        """The numbers in the order of alpha again."""
+        x = jnp.stack(parts)
+        return (x.T if self.by_mass else x).reshape(-1)
+
+    def partials(
+        self, position: UserFunction, alpha: Float[Array, " n"]
+    ) -> tuple[Float[Array, "3 k"], ...]:
+        """What the first, the second, ... coordinate of every mass does to it."""
+        every = jnp.eye(self.each, dtype=alpha.dtype)
+        ones = jnp.ones((self.each, self.each, self.masses), alpha.dtype)
+        seeds = every[:, :, None] * ones
+        return tuple(
+            jax.jvp(position, (alpha,), (self.joined(components(seed)),))[1].T
+            for seed in components(seeds)
+        )
+
+
+def apart_of(position: UserFunction, masses: int, coordinates: int) -> Apart | None:
+    """How coordinates are shared out among masses, by the program of their places.
+
+    None where one coordinate may move several masses, or masses have different numbers
+    of them; and for a few coordinates, which need no such structure.
+    """
+    if coordinates <= FEW or not masses or coordinates % masses:
+        return None
+    place: Callable[[Array, UserFunction], Array] = lambda alpha, own: own(alpha)
+    try:
+        moves = reached_numbers(place, coordinates, position).any(axis=1)
+    except NotElementwiseError:
+        return None
+    each, index = coordinates // masses, np.arange(coordinates)
+    for by_mass in (True, False):
+        mass = index // each if by_mass else index % masses
+        if not np.any(moves & (mass[None] != np.arange(masses)[:, None])):
+            return Apart(each, masses, by_mass)
+    return None

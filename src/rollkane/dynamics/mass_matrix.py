@@ -85,6 +85,21 @@ def assemble(
 
     Source: docs/theory.md, (4.2), (4.3).
     """
+    system = of_the_body(scene, t, contact)
+    rows, right = system.rows, system.rhs
+    masses: list[Masses] = []
+    for supported, alpha, alpha_dot in scene.shares(state):
+        carried = supported.carried(t, alpha, alpha_dot)
+        part = masses_of(carried, contact, system.proper)
+        own = supported.applied(t, alpha, alpha_dot, part.part.pairing)
+        rows, right = _with_masses(rows, right, part, own)
+        masses.append(part)
+    right = with_generalized(right, scene, t, state)
+    return system._replace(rows=rows, rhs=right, masses=tuple(masses))
+
+
+def of_the_body(scene: Scene, t: Float[Array, ""], contact: Contact) -> System:
+    """The system of the rolling body alone, under the loads that act on it."""
     body, w = scene.body, contact.angular_velocity
     c = body.center_of_mass - contact.body_point
     Th = inertia_about(body.mass, c, body.inertia)
@@ -99,18 +114,18 @@ def assemble(
         if wrench is not None:
             rhs = rhs + wrench[1]
             force = wrench[0] if force is None else force + wrench[0]
-    rows, right = Th, components(rhs)
-    masses: list[Masses] = []
-    for supported, alpha, alpha_dot in scene.shares(state):
-        part = _masses(supported.carried(t, alpha, alpha_dot), contact, proper)
-        own = supported.applied(t, alpha, alpha_dot, part.part.pairing)
-        rows, right = _with_masses(rows, right, part, own)
-        masses.append(part)
+    return System(Th, components(rhs), c, proper, force, ())
+
+
+def with_generalized(
+    right: list[Array], scene: Scene, t: Float[Array, ""], state: AnyState
+) -> list[Array]:
+    """Right-hand sides with the loads' generalized forces on all quasi-velocities."""
     for load in scene.loads:
         given = load.generalized(t, state)
         if given is not None:
             right = [a + b for a, b in zip(right, components(given), strict=True)]
-    return System(rows, right, c, proper, force, tuple(masses))
+    return right
 
 
 def field_of(loads: tuple[AbstractLoad, ...]) -> Float[Array, "3"] | None:
@@ -119,7 +134,7 @@ def field_of(loads: tuple[AbstractLoad, ...]) -> Float[Array, "3"] | None:
     return sum(fields[1:], fields[0]) if fields else None
 
 
-def _masses(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
+def masses_of(part: Carried, contact: Contact, proper: Float[Array, "3"]) -> Masses:
     """``m beta``, ``beta = a_P - g + w x (w x s) + 2 w x r* + r**``, (4.2)."""
     w = contact.angular_velocity
     s = part.place - contact.body_point[:, None]
@@ -148,7 +163,7 @@ def _with_masses(
     rows = [list(row) for row in rows]
     rhs = [b - d for b, d in zip(rhs[:3], components(moment), strict=True)] + rhs[3:]
     own_inertia = [turning.inertia for turning in part.turnings]
-    for i, row in enumerate(_inertia_rows(part.mass, s, own_inertia)):
+    for i, row in enumerate(inertia_rows(part.mass, s, own_inertia)):
         rows[i] = [old + new for old, new in zip(rows[i], row, strict=True)]
     zero = jnp.zeros_like(rhs[0])
     pushes = [m * u for u in part.partials]
@@ -183,7 +198,7 @@ def _products(pushes: list[Array], partials: Sequence[Array]) -> list[list[Array
     ]
 
 
-def _inertia_rows(
+def inertia_rows(
     mass: Float[Array, " k"],
     s: Float[Array, "3 k"],
     own_inertia: Sequence[Float[Array, "3 3"]],

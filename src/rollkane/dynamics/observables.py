@@ -15,10 +15,9 @@ from ..geometry.small_linear import components, cross, dot, matvec, norm
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
-from .contact_laws import accelerations, momentum_rate
 from .equations import quasi_velocities
-from .mass_matrix import Masses, assemble, field_of, times_lower
-from .rolling import contact_of, press_and_pull
+from .mass_matrix import Masses, field_of, times_lower
+from .rolling import contact_of, press_and_pull, solved
 from .scene import Scene
 from .supported import total
 
@@ -238,15 +237,12 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
 
     Source: docs/theory.md, (6.3).
     """
-    contact = contact_of(scene, t, state)
-    system = assemble(scene, t, state, contact)
-    solution = accelerations(scene, t, contact, system)
+    contact, carried, solution, force = solved(scene, t, state)
     w_dot, slid = solution.angular_acceleration, solution.slip_acceleration
     w, j = contact.angular_velocity, contact.point_velocity
     value = jnp.zeros_like(w[0])
     if j is not None:
-        force = momentum_rate(scene, contact, system).force(solution)
-        value = value + dot(j, force)
+        value = value + dot(j, force())
     if solution.moment is not None:
         value = value + dot(w, solution.moment)
     for load in scene.loads:
@@ -260,7 +256,7 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
             value = value + dot(given, jnp.stack(quasi_velocities(scene, t, state)))
     first = 0
     rates = components(solution.alpha_ddot)
-    listed = zip(scene.shares(state), system.masses, strict=True)
+    listed = zip(scene.shares(state), carried, strict=True)
     for (supported, *moving), masses in listed:
         own = rates[first : first + supported.count]
         first += supported.count

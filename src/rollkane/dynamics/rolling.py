@@ -5,7 +5,7 @@ alpha'', on body axes, about the contact point (docs/theory.md, (4.3)).
 """
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -16,8 +16,9 @@ from ..kinematics.contact import Contact, body_to_base
 from ..kinematics.coordinates import Pair, SlidingState
 from ..kinematics.voronets import AnyState, VoronetsState
 from .abstract_supported import rates_of_rolling, rolling_parts
+from .condensation import condensed, condenses
 from .contact_laws import Solution, accelerations, momentum_rate
-from .mass_matrix import System, assemble
+from .mass_matrix import Masses, assemble
 from .scene import Scene
 
 # a run towards Painleve's paradox ends just before it, with the normal force growing
@@ -83,6 +84,43 @@ def headings(
     return found
 
 
+class Solved(NamedTuple):
+    """What the forces of one instant determine.
+
+    Attributes:
+        contact: Of the body.
+        masses: What is carried.
+        solution: Accelerations.
+        force: Gives the contact force [N], BODY axes, shape (3,).
+    """
+
+    contact: Contact
+    masses: tuple[Masses, ...]
+    solution: Solution
+    force: Callable[[], Float[Array, "3"]]
+
+
+def solved(scene: Scene, t: Float[Array, ""], state: AnyState) -> Solved:
+    """Accelerations and contact force of a scene at one instant.
+
+    Args:
+        scene: What rolls on what, carrying what, under which loads.
+        t: Time [s].
+        state: Where the body is and how it turns.
+
+    Source: docs/theory.md, (4.3), (6.2).
+    """
+    contact = contact_of(scene, t, state)
+    if condenses(scene):
+        found = condensed(scene, t, state, contact)
+        force = lambda: found.force(scene, contact)
+        return Solved(contact, found.system.masses, found.solution, force)
+    system = assemble(scene, t, state, contact)
+    solution = accelerations(scene, t, contact, system)
+    force = lambda: momentum_rate(scene, contact, system).force(solution)
+    return Solved(contact, system.masses, solution, force)
+
+
 def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> AnyState:
     """Rates of the state of a rolling body: the right-hand side itself.
 
@@ -97,24 +135,19 @@ def rolling_derivative(scene: Scene, t: Float[Array, ""], state: AnyState) -> An
 
     Source: docs/theory.md, (4.3). Sign: the normal points out of each surface.
     """
-    contact = contact_of(scene, t, state)
-    system = assemble(scene, t, state, contact)
-    solution = accelerations(scene, t, contact, system)
-    return _rates(scene, state, contact, system, solution)
+    return _rates(scene, state, solved(scene, t, state))
 
 
-def _rates(
-    scene: Scene, state: AnyState, contact: Contact, system: System, solution: Solution
-) -> AnyState:
-    w_dot, alpha_ddot, slid, *_ = solution
-    pairings = [masses.part.pairing for masses in system.masses]
+def _rates(scene: Scene, state: AnyState, found: Solved) -> AnyState:
+    w_dot, alpha_ddot, slid, *_ = found.solution
+    pairings = [masses.part.pairing for masses in found.masses]
     pairings = [pairing for pairing in pairings if pairing is not None]
     if not pairings:
-        return state.rates(contact, w_dot, alpha_ddot, slid)
+        return state.rates(found.contact, w_dot, alpha_ddot, slid)
     n = state.alpha.shape[0]
     rolling = components(alpha_ddot[n:])
     inner = rates_of_rolling(scene.supported, state.supported, pairings, rolling)
-    return state.rates(contact, w_dot, alpha_ddot[:n], slid, inner)
+    return state.rates(found.contact, w_dot, alpha_ddot[:n], slid, inner)
 
 
 def rates_and_force(
@@ -166,12 +199,10 @@ def _solved(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> tuple[AnyState, Contact, Solution, Float[Array, "3"]]:
     """Rates, contact, accelerations and contact force [N], fixed axes."""
-    contact = contact_of(scene, t, state)
-    system = assemble(scene, t, state, contact)
-    solution = accelerations(scene, t, contact, system)
-    force = momentum_rate(scene, contact, system).force(solution)
-    rates = _rates(scene, state, contact, system, solution)
-    return rates, contact, solution, matvec(contact.rotation, force)
+    found = solved(scene, t, state)
+    contact = found.contact
+    force = matvec(contact.rotation, found.force())
+    return _rates(scene, state, found), contact, found.solution, force
 
 
 def painleve_margin(

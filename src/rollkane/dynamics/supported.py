@@ -27,7 +27,7 @@ from ..validation.user_functions import (
 from .abstract_supported import AbstractSupported
 from .bodies import Matrix, Vector, checked_inertia
 from .carried import Carried, turning_of
-from .coordinate_functions import functions_of, moved
+from .coordinate_functions import Apart, apart_of, functions_of, moved, rates_of
 
 
 class _Driven(AbstractSupported):
@@ -73,6 +73,7 @@ class PointMasses(_Driven):
     force: UserFunction | None
     potential: UserFunction | None
     count: int = eqx.field(static=True)
+    _apart: Apart | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -114,6 +115,12 @@ class PointMasses(_Driven):
         self.position = made.functions["position"]
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
+        self._apart = apart_of(self.position, self.mass.shape[0], self.count)
+
+    @property
+    def apart(self) -> Apart | None:
+        """How its coordinates are shared out among its masses; None: they are not."""
+        return self._apart
 
     def carried(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
@@ -124,6 +131,16 @@ class PointMasses(_Driven):
         return Carried(
             self.mass, place.T, velocity.T, bias.T, tuple(p.T for p in partials)
         )
+
+    def carried_apart(
+        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    ) -> Carried:
+        """The same, with a column for each mass's first, second, ... coordinate."""
+        if self._apart is None:
+            return self.carried(t, alpha, alpha_dot)
+        place, velocity, bias = rates_of(self.position, alpha, alpha_dot)
+        partials = self._apart.partials(self.position, alpha)
+        return Carried(self.mass, place.T, velocity.T, bias.T, partials)
 
 
 class SupportedBody(_Driven):

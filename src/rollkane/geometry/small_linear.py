@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 # one operation instead of 2 n
 _unstack: Callable[[Array], list[Array]] | None = getattr(lax, "unstack", None)
-# beyond, n^3 / 3 operations take longer to compile than anybody waits
+# systems beyond it are solved in loops: n^3 / 3 operations take too long to compile
 _UNROLLED = 12
 
 

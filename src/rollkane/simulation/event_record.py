@@ -98,7 +98,7 @@ def record_of(events: Sequence[Event], happened: Happened) -> EventRecord:
 
 
 def events_of(
-    given: Any, stop: Any, scene: Any, t: Array, state: Any, where: str = "simulate"
+    given: Any, stop: Any, scene: Any, t: Any, state: Any, where: str = "simulate"
 ) -> tuple[Event, ...]:
     """The events of a run, each with a name of its own.
 
@@ -114,7 +114,10 @@ def events_of(
         FieldError: no events, or two of one name.
     """
     found = _named(given, stop, where)
-    return tuple(bound(event, field, scene, t, state) for field, event in found)
+    if not found:  # making an array takes as long as a short run
+        return ()
+    at = jnp.asarray(t)
+    return tuple(bound(event, field, scene, at, state) for field, event in found)
 
 
 def events_in_modes(

@@ -180,7 +180,7 @@ def simulate(
     times = checked_times(times, dtype)
     check_span(scene, times)
     start = _in_coordinates(coordinates, scene, start, times[0])
-    watched = events_of(events, stop, scene, jnp.asarray(times[0]), start)
+    watched = events_of(events, stop, scene, times[0], start)
     if watched:
         _refuse("events", {name: options[name] for name in _WITHOUT_EVENTS})
     run = functools.partial(
