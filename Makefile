@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py tests/unit/test_sampling.py tests/unit/test_store.py
 
-.PHONY: demo test test-all test-releases lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases test-browser lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -28,6 +28,11 @@ test-all: $(VENV)/.installed
 
 test-releases: $(VENV)/.installed
 	$(PYTEST) -m "not slow" $(RELEASES)
+
+# pages as a headless Chromium shows them (CHROMIUM=command names another one); skipped
+# where there is none: apt-get install chromium
+test-browser: $(VENV)/.installed
+	$(PYTEST) tests/browser
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -26,6 +26,7 @@ from .dynamics.scene import Rolling as Rolling
 from .dynamics.scene import RubberRolling as RubberRolling
 from .dynamics.scene import Scene as Scene
 from .dynamics.scene import Slipping as Slipping
+from .dynamics.solid_bodies import solid_body as solid_body
 from .dynamics.supported import PointMasses as PointMasses
 from .dynamics.supported import Prescribed as Prescribed
 from .dynamics.supported import SupportedBody as SupportedBody
@@ -37,6 +38,10 @@ from .files.accelerograms import read_two_column as read_two_column
 from .files.accelerograms import read_v2a as read_v2a
 from .files.records import read_record as read_record
 from .geometry.local_geometry import LocalGeometry as LocalGeometry
+from .geometry.orientations import orientation_from_euler as orientation_from_euler
+from .geometry.orientations import orientation_from_matrix as orientation_from_matrix
+from .geometry.orientations import orientation_from_scipy as orientation_from_scipy
+from .geometry.orientations import orientation_from_xyzw as orientation_from_xyzw
 from .geometry.surfaces import Cone as Cone
 from .geometry.surfaces import Cylinder as Cylinder
 from .geometry.surfaces import DiscEdge as DiscEdge

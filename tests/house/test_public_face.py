@@ -14,6 +14,8 @@ import rollkane as rk
 SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
+    *("orientation_from_euler", "orientation_from_matrix", "orientation_from_scipy"),
+    *("orientation_from_xyzw", "solid_body"),
     "VonMisesFisher",
     "LogNormal",
     "Normal",

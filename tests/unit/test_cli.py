@@ -132,7 +132,7 @@ def test_simulate_writes_everything(folder, monkeypatch):
     import xarray
 
     # on a machine however slow, the second run is made that tells compiling apart
-    monkeypatch.setattr("rollkane.cli.commands._SHORT", math.inf)
+    monkeypatch.setattr("rollkane.cli.simulate_command._SHORT", math.inf)
 
     targets = {
         "--out": "run.nc",

@@ -14,7 +14,7 @@ import click
 
 from .json_text import json_text
 from .output_files import check_targets, force_option, telling_of_files
-from .preparation import STOPPED_EARLY, loaded, start_jax
+from .preparation import STOPPED_EARLY, loaded, scene_argument, start_jax
 
 _CHANNELS = (
     ("gyro", "wx,wy,wz", "Angular velocity, body axes."),
@@ -48,7 +48,7 @@ def _several(
 
 
 @click.command()
-@click.argument("scene")
+@scene_argument
 @click.argument("data")
 @click.option("--time", default="t", show_default=True, help="Column of times.")
 @_channel_options

@@ -16,6 +16,21 @@ else:
     _NumberType = click.ParamType
 
 
+def _names(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """Built-in scenes and files that a shell may complete a word to."""
+    del ctx, param
+    from click.shell_completion import CompletionItem
+
+    from ..files.scene_files import builtin_scenes
+
+    scenes = builtin_scenes().items()
+    known = [CompletionItem(x, help=y) for x, y in scenes if x.startswith(incomplete)]
+    return [*known, CompletionItem(incomplete, type="file")]
+
+
+scene_argument = click.argument("scene", shell_complete=_names)
+
+
 class Positive(_NumberType):
     """A finite number greater than zero."""
 

@@ -11,8 +11,9 @@ from typing import Any, NoReturn
 
 import click
 
+from .json_text import json_text
 from .output_files import check_targets, force_option, telling_of_files
-from .preparation import loaded, start_jax
+from .preparation import loaded, scene_argument, start_jax
 
 # held in this order, until a branch is left
 _USUAL = ("tilt", "spin", "speed", "energy")
@@ -27,11 +28,19 @@ def _hold_option(command: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
+_json_option = click.option(
+    "--json",
+    "json_file",
+    type=click.Path(allow_dash=True),
+    help="JSON file to write; - prints it, and nothing else.",
+)
+
+
 @click.command()
-@click.argument("scene")
+@scene_argument
 @_hold_option
 @click.option("--energy-sign", is_flag=True, help="Tell that of the kept energy, too.")
-@click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
+@_json_option
 @force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
@@ -51,9 +60,9 @@ def steady(
 
     Exit code 0: done; 2: bad input, or no steady motion; nothing is written then.
     """
-    targets = {} if json_file is None else {"json": Path(json_file)}
+    targets = {} if json_file in (None, "-") else {"json": Path(json_file)}
     check_targets(targets, scene, force=force)
-    held = _held(hold)
+    held, printed = _held(hold), json_file == "-"
     start_jax()
     file = loaded(ctx, scene)
 
@@ -67,6 +76,9 @@ def steady(
     known = _motion_json(motion)
     if energy_sign:
         known["energy_sign"] = _sign_json(motion.energy_sign)
+    if printed:
+        click.echo(json_text(known))
+        return
     if not quiet:
         click.echo(file.title)
         click.echo(str(motion))
@@ -74,7 +86,7 @@ def steady(
 
 
 @click.command()
-@click.argument("scene")
+@scene_argument
 @click.option(
     "--vary",
     required=True,
@@ -91,7 +103,7 @@ def steady(
 )
 @click.option("--show", metavar="NAME", help="What the diagram shows; growth.")
 @click.option("--plot", type=click.Path(), help="Picture: the diagram.")
-@click.option("--json", "json_file", type=click.Path(), help="JSON file to write.")
+@_json_option
 @force_option
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 @click.pass_context
@@ -115,7 +127,8 @@ def family(
     What else is free is held as it is in the start, and told: tilt, spin, speed or
     energy, unless --hold says otherwise. Exit codes as of steady.
     """
-    asked = {"json": json_file, "plot": plot}
+    printed = json_file == "-"
+    asked = {"json": None if printed else json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, force=force)
     held, (name, span) = _held(hold), _range(vary)
@@ -136,6 +149,9 @@ def family(
             _plotted(branch, targets["plot"], show, file.title)
     except (FieldError, ImportError) as refused:
         raise click.UsageError(str(refused)) from refused
+    if printed:
+        click.echo(json_text(_branch_json(branch, motion)))
+        return
     if not quiet:
         click.echo(file.title)
         _tell(branch, motion)

@@ -46,6 +46,7 @@ class Structured(MemoryWalk):
         """An empty program of real numbers of this type."""
         super().__init__(dtype)
         self.homes: dict[Variable, Memory] = {}
+        self._loops = 0  # that hold what is being written
 
     def through(
         self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Value]
@@ -125,7 +126,10 @@ class Structured(MemoryWalk):
         with self.writer.braces("for (;;)"):
             (going,) = self._run(more, [*of_cond, *map(kept, carry.values)])
             going = self.numbers(going)
-            self.writer.line(f"if (!({self._any(going)})) break;")
+            # an inner loop is a search, of which half is not a number to go on with
+            told = "" if self._loops else " || to_end_now()"
+            self.writer.line(f"if (!({self._any(going)}){told}) break;")
+            self._loops += 1
             with self.writer.inner() as block:
                 if asked.shape:  # each member of a batch has its own number of turns
                     begun = list(map(kept, carry.values))
@@ -138,6 +142,7 @@ class Structured(MemoryWalk):
                 else:
                     found = self._run(body, [*of_body, *carry.values])
                 targets = carry.targets(found)
+            self._loops -= 1
             self.writer.put(block, targets)
         return carry.values
 

@@ -19,6 +19,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array
 
 from .compiler import NoCompilerError, Program, program_of
+from .run_watch import follow
 
 # XLA's structures that are read: their names here, their fields there and here. What
 # the installed header does not know by these names is not compared.
@@ -179,8 +180,9 @@ def callable_program(
     """
     major, minor = interface.version
     known = head | {"API_MAJOR": major, "API_MINOR": minor}
-    before = interface.header, "rows.h", "xla_call.h", interface.same_layout
-    return program_of(dtype, lanes, known, (*before, *parts))
+    before = interface.header, "rows.h", "watch.h", "xla_call.h"
+    texts = *before, interface.same_layout, *parts
+    return program_of(dtype, lanes, known, texts)
 
 
 class _Target:
@@ -207,6 +209,7 @@ class _Target:
                 return
             coming, self._coming = self._coming, None
             library = self._program.loaded() if coming is None else coming.result()
+            follow(library)
             capsule = jax.ffi.pycapsule(library.called_by_xla)
             jax.ffi.register_ffi_target(self.name, capsule, platform="cpu")
             self._known = True

@@ -194,7 +194,7 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
     if (ended && i >= 0) {
         const int64_t tried = a->steps[l] + a->rejected[l];
         out->code[i] = !LANE(a->failed, l)     ? COMPLETED
-                       : tried >= q->max_steps ? MAX_STEPS_REACHED
+                       : tried >= q->max_steps || told_to_end() ? MAX_STEPS_REACHED
                        : a->steps[l] == 0      ? BAD_START
                                                : STEP_TOO_SMALL;
 #if EVENTS
@@ -334,9 +334,14 @@ int64_t integrate(const Queue *q, const Results *out) {
                 a.k[c] = choose_row(go, k[STAGES - 1][c], a.k[c]);
             }
             mask out_of_steps = mask_of(0);
+            const int over = told_to_end();
+#if ONE_LANE
+            if (rollkane_watch && rollkane_watch->looks)
+                rollkane_watch->time = (double)(q->sense * a.t);
+#endif
             for (int l = 0; l < LANES; l++) {
                 a.steps[l] += LANE(go, l) != 0, a.rejected[l] += LANE(refused, l) != 0;
-                const int spent = a.steps[l] + a.rejected[l] >= q->max_steps;
+                const int spent = a.steps[l] + a.rejected[l] >= q->max_steps || over;
                 const int arrived = LANE(landed, l) && a.stop[l] + 1 >= q->stops;
                 LANE(out_of_steps, l) = spent && !arrived ? YES : 0;
             }

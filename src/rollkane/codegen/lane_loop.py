@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from .compiler import Program, program_of
 from .jaxpr_types import Shaped
 from .right_hand_side import Looked, lanes_source
+from .run_watch import follow
 from .runge_kutta_source import attempt_source
 from .tableau import Weights
 
@@ -150,9 +151,10 @@ class LaneLoop:
             "RECORD": 0,
             **made.head,
         }
-        parts = "rows.h", made.text, attempt_source(weights), *made.loop
+        parts = "rows.h", "watch.h", made.text, attempt_source(weights), *made.loop
         self.source = program_of(self.dtype, lanes, head, parts)
         self._library = Program.of(self.source).loaded()
+        follow(self._library)
         self._library.integrate.restype = ctypes.c_int64
         sizes = ctypes.c_float, ctypes.c_double, ctypes.c_longdouble
         self._real = next(x for x in sizes if ctypes.sizeof(x) == self.dtype.itemsize)

@@ -13,6 +13,9 @@ typedef struct {
     real *workspace; /* of all arrays in memory */
 } Frame;
 
+/* Whether runs are to end where they are (program_call.c). */
+OF_THE_PROGRAM int to_end_now(void);
+
 /* like XLA's: what is not a number is zero, what is too large the largest */
 INLINE long whole_of(real x) {
     const long most = (long)(~0UL >> 1);

@@ -2,6 +2,8 @@
  * Before this text: xla_call.h, program.h, the program and threads.h.
  */
 
+OF_THE_PROGRAM int to_end_now(void) { return told_to_end(); }
+
 static void run_member(void *job, long b) {
     const Call *call = job;
     Frame frame;

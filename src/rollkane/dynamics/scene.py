@@ -17,6 +17,7 @@ from .abstract_supported import AbstractSupported, rolling_parts, shares
 from .bodies import Body
 from .friction import AbstractFriction, ViscousFriction
 from .loads import AbstractLoad, Gravity
+from .scene_description import description
 
 
 class AbstractContactLaw(eqx.Module):
@@ -230,6 +231,10 @@ class Scene(eqx.Module):
     def __repr__(self) -> str:
         """Its numbers, with units, in a few lines."""
         return described(self)
+
+    def describe(self) -> str:
+        """The scene in sentences, with its numbers and units."""
+        return description(self)
 
     @property
     def carries_point(self) -> bool:

@@ -2,7 +2,8 @@
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, cast
+from os import PathLike
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -50,6 +51,20 @@ class ExperimentDesign:
     score: float
     standard_errors: dict[str, np.ndarray]
     history: np.ndarray
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw scores of the candidates (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_indices import plot_design
+
+        return plot_design(self, path, title)
 
 
 class _Plan(NamedTuple):

@@ -2,6 +2,8 @@
 
 import dataclasses
 from collections.abc import Sequence
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +58,20 @@ class Identifiability:
         if not (self.unseen or self.poorly_seen):
             lines.append("All parameters can be told from the records.")
         return "\n".join(lines)
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw singular values (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_indices import plot_identifiability
+
+        return plot_identifiability(self, path, title)
 
 
 def _listed(sentences: tuple[str, ...]) -> list[str]:

@@ -1,6 +1,7 @@
 """Motion of a system in time: the same integrator as that of a rolling body."""
 
 import functools
+from os import PathLike
 from typing import Any
 
 import diffrax as dfx
@@ -88,6 +89,20 @@ class KaneTrajectory(eqx.Module):
         """Why a single run ended, and what to do about it."""
         fields = Fields.of(self.system, self.final_state, "system")
         return fields.reason(self.code, self.fault)
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw coordinates, speeds and kinetic energy (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_kane import plot_kane
+
+        return plot_kane(self, path, title)
 
 
 def simulate(

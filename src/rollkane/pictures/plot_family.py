@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..stability.branch import Branch
-from .plot_style import BLUE, INK, RED, dress, limits, new_figure, write_picture
+from .plot_style import BLUE, INK, RED, dress, given, limits, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _UNITS = {
     "speed": "m/s",
@@ -24,18 +25,21 @@ _MARKS = {"fold": "s", "zero crossing": "o", "Hopf": "D", "collision": "^"}
 
 def plot_family(
     branches: Branch | list[Branch],
-    path: str | PathLike[str],
+    path: str | PathLike[str] | None = None,
     show: str | None = None,
     title: str = "",
-) -> None:
-    """Write the diagram of branches as a PNG, SVG or PDF.
+) -> "Figure | None":
+    """Draw the diagram of branches.
 
     Args:
         branches: Of the same family: one, or those that meet at bifurcations.
-        path: File to write.
+        path: PNG, SVG or PDF file to write; None for none.
         show: A quantity by its name, as of ``Branch.along``, or "growth" [1/s]; None:
             the growth.
         title: Above the picture.
+
+    Returns:
+        The figure, or None where a file was written.
 
     Raises:
         FieldError: nothing of the branches has the name.
@@ -54,7 +58,7 @@ def plot_family(
     panel.set_ylabel(_with_unit(name))
     panel.set_title(title, fontsize=10, color=INK)
     panel.legend(fontsize=8, frameon=False)
-    write_picture(path, figure)
+    return given(figure, path)
 
 
 def _with_unit(name: str) -> str:

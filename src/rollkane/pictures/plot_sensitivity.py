@@ -6,22 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..identification.sensitivity import Sensitivity
-from .plot_style import (
-    BLUE,
-    BROWN,
-    GREEN,
-    INK,
-    PURPLE,
-    RED,
-    dress,
-    new_figure,
-    write_picture,
-)
+from .envelopes import draw_curve
+from .plot_style import INK, LINES, dress, new_figure, write_picture
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_COLOURS = (BLUE, RED, GREEN, PURPLE, BROWN, INK)
 
 
 def plot_sensitivity(
@@ -48,13 +37,9 @@ def plot_sensitivity(
             size = slope if not inner else np.sqrt(np.sum(slope**2, axis=inner))
             for k, label in enumerate(found.names[parameter]):
                 short = label.removeprefix(parameter) or parameter
-                panel.plot(
-                    found.time,
-                    size[:, k],
-                    color=_COLOURS[k % len(_COLOURS)],
-                    linewidth=1.2,
-                    label=short,
-                )
+                color, dashes = LINES[k % len(LINES)]
+                time = np.asarray(found.time)
+                draw_curve(panel, time, np.asarray(size[:, k]), color, short, dashes)
             dress(panel)
             panel.set_title(f"d({name}) / d({parameter})", fontsize=10, color=INK)
             panel.legend(fontsize=8, frameon=False, ncols=2)

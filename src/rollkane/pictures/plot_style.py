@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 
 BLUE, GREEN, PURPLE, BROWN = "#1f5fa8", "#2a7f62", "#6b4fa0", "#9a5b13"
 RED, INK, FAINT = "#c23b3b", "#333a44", "#b8c0cb"
+# lines that are told apart in grey, too: by their dashes
+LINES = (
+    *((BLUE, "-"), (RED, "--"), (GREEN, "-."), (PURPLE, ":")),
+    *((BROWN, (0, (5, 1))), (INK, (0, (3, 1, 1, 1)))),
+)
 DPI = 150
 
 
@@ -72,6 +77,31 @@ def write_picture(path: str | PathLike[str], figure: "Figure") -> None:
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi=DPI, metadata=dated.get(kind))
     write_whole(path, picture.getvalue())
+
+
+def given(
+    figure: "Figure", path: str | PathLike[str] | None, title: str = ""
+) -> "Figure | None":
+    """The figure with its title, or the file that it is written to.
+
+    Args:
+        figure: What was drawn.
+        path: File, as of :func:`write_picture`; None for none.
+        title: Above the figure; plain text.
+
+    Returns:
+        The figure, or None where a file was written.
+
+    Raises:
+        FieldError: another ending, or none.
+        OSError: the file cannot be written.
+    """
+    if title:
+        figure.suptitle(title, fontsize=11, color=INK, parse_math=False)
+    if path is None:
+        return figure
+    write_picture(path, figure)
+    return None
 
 
 def dress(panel: "Axes") -> None:

@@ -5,7 +5,7 @@ throughout, so that no global state of the caller's program changes.
 """
 
 import os
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..geometry.surfaces import (
     Torus,
 )
 from ..simulation.trajectory import Trajectory
+from .envelopes import draw_curve
 from .mesh import body_size
 from .motion_samples import MotionSamples, motion_samples
 from .plot_path import draw_path, draw_path_in_space
@@ -28,6 +29,7 @@ from .plot_style import (
     FAINT,
     GREEN,
     INK,
+    LINES,
     PURPLE,
     RED,
     dress,
@@ -200,11 +202,12 @@ def _curve(
     values: np.ndarray,
     color: str,
     label: str = "",
+    dashes: Any = "-",
 ) -> None:
     """A line through the finite values; a lone one is shown as a point."""
     finite = np.isfinite(values)
     shown = np.where(finite, values, np.nan)
-    panel.plot(motion.time, shown, color=color, lw=1.2, label=label or None)
+    draw_curve(panel, motion.time, shown, color, label, dashes)
     if finite.sum() < 3:
         panel.plot(motion.time[finite], values[finite], "o", color=color, ms=4)
     if not finite.any():
@@ -254,10 +257,10 @@ def tilt_angle(motion: MotionSamples, round_body: bool) -> tuple[np.ndarray, str
 
 
 def _draw_alpha(panel: "Axes", motion: MotionSamples) -> None:
-    colors = (BLUE, RED, GREEN, BROWN, PURPLE)
     count = motion.alpha.shape[1]
     for k, values in enumerate(motion.alpha.T):
-        _curve(panel, motion, values, colors[k % len(colors)], f"α{_INDEX[k % 10]}")
+        color, dashes = LINES[k % len(LINES)]
+        _curve(panel, motion, values, color, f"α{_INDEX[k % 10]}", dashes)
     panel.set_ylim(*limits(motion.alpha, 0.08, 1e-6))
     panel.set_ylabel("carried: α")
     if count > 1:

@@ -9,12 +9,15 @@ import html
 import json
 import os
 import re
+from collections.abc import Sequence
 from importlib import resources
 from typing import Any
 
 import numpy as np
 
+from ..dynamics.loads import Gravity
 from ..files.atomic_file import write_whole
+from ..files.file_endings import PAGES, wrong_ending
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .mesh import Mesh, body_size, plate_mesh, surface_mesh
@@ -23,42 +26,62 @@ from .rolling_meshes import RollingMeshes, rolling_meshes
 
 # More frames would only make the page larger: it moves smoothly between them.
 MOST_FRAMES = 2000
-_SCRIPTS = ("three.bundle.js", "motion.js", "stage.js", "viewer.js")
+MOST_GHOSTS, _GHOST_FRAMES = 32, 400
+_MOST_EVENTS = 500  # marks on the time line
+_SCRIPTS = (
+    *("three.bundle.js", "motion.js", "marks.js", "stage.js", "timeline.js"),
+    *("capture.js", "viewer.js"),
+)
+_OF_GHOSTS = "position", "velocity", "orientation", "angular_velocity"
 
 
 def write_view(
-    trajectory: Trajectory, path: str | os.PathLike[str], title: str = ""
+    trajectory: Trajectory,
+    path: str | os.PathLike[str],
+    title: str = "",
+    ghosts: Sequence[Trajectory] = (),
 ) -> None:
     """Write a trajectory as a self-contained page with a moving three-dimensional view.
 
     The page shows the body and its base as they move, the masses that it carries, the
-    contact point with its traces on both, and (by a switch) the contact force; it has
-    a slider, a clock and a camera that can follow. ``#frame=N`` behind its name shows
-    frame N at rest. It opens from disk and in sandboxed frames, and fetches nothing.
+    contact point with its traces on both, and (by switches) arrows of the contact
+    force, gravity and angular velocity with their scales, the axes of the body and the
+    fixed ones; it has a slider, a clock, a camera that can follow, a graph of any
+    quantity over time with events and the mode of contact, and makes pictures and
+    videos of what is seen. ``#frame=N`` behind its name shows frame N at rest. It opens
+    from disk and in sandboxed frames, and fetches nothing.
 
     Args:
         trajectory: One run, not a batch. Of more than 2000 outputs, 2000 are kept.
-        path: Where to; the folder must exist. The file appears whole or not at all.
+        path: Where to, .html or .htm; the folder must exist. The file appears whole or
+            not at all.
         title: Heading of the page; plain text.
+        ghosts: Other runs of the same body, shown as veils; 32 at most.
 
     Raises:
-        FieldError: a batch, or a run of which no state is finite.
+        FieldError: a batch, a run of which no state is finite, or another ending.
         OSError: the file cannot be written.
     """
-    write_whole(path, view_page(trajectory, title).encode())
+    wrong = wrong_ending(path, PAGES)
+    if wrong is not None:
+        raise FieldError("path", str(path), *wrong)
+    write_whole(path, view_page(trajectory, title, ghosts).encode())
 
 
-def view_page(trajectory: Trajectory, title: str = "") -> str:
+def view_page(
+    trajectory: Trajectory, title: str = "", ghosts: Sequence[Trajectory] = ()
+) -> str:
     """The text of the page that :func:`write_view` writes.
 
     Args:
         trajectory: One run, not a batch.
         title: Heading of the page; plain text.
+        ghosts: Other runs of the same body, shown as veils; 32 at most.
 
     Raises:
-        FieldError: a batch, or a run of which no state is finite.
+        FieldError: a batch, or a run of which no state is finite; too many ghosts.
     """
-    data = json.dumps(view_data(trajectory, title), allow_nan=False)
+    data = json.dumps(view_data(trajectory, title, ghosts), allow_nan=False)
     parts = {
         "title": html.escape(title or "rollkane"),
         "style": _asset("viewer.css"),
@@ -70,12 +93,15 @@ def view_page(trajectory: Trajectory, title: str = "") -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda m: parts[m[1]], _asset("template.html"))
 
 
-def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
+def view_data(
+    trajectory: Trajectory, title: str = "", ghosts: Sequence[Trajectory] = ()
+) -> dict[str, Any]:
     """What the page's programs are given, ready for JSON.
 
     Args:
         trajectory: One run, not a batch.
         title: Heading of the page.
+        ghosts: Other runs of the same body.
 
     Returns:
         ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
@@ -85,14 +111,19 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
         error where an energy is kept; those of the base only where it moves), ``body``
         and ``base`` (meshes; ``{"plane": True}`` for a plane, None for a surface whose
         chart has no point), ``rolling`` (of each body that rolls on or in the body:
-        ``body``, the surface ``on`` which it does, meshes, and its place). Arrays are
+        ``body``, the surface ``on`` which it does, meshes, and its place), ``gravity``
+        ([m/s^2], or None), ``events`` (name and times [s] of each), ``ghosts`` (frames
+        of each). Arrays are
         written as ``type``, ``unit``, ``shape`` and
         ``data`` (base64, little endian, in that unit); ``points`` of a mesh are shares
         of the box from ``low`` to ``high`` [m].
 
     Raises:
-        FieldError: a batch, or a run of which no state is finite.
+        FieldError: a batch, or a run of which no state is finite; too many ghosts.
     """
+    if len(ghosts) > MOST_GHOSTS:
+        remedy = f"give {MOST_GHOSTS} at most, such as every n-th member"
+        raise FieldError("ghosts", len(ghosts), "are too many for one picture", remedy)
     motion = motion_samples(trajectory)
     reached = np.flatnonzero(motion.reached)
     if not reached.size:
@@ -122,7 +153,10 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
         "energy_label": [f"{motion.kept} error", ""]
         if motion.kept
         else ["energy", "J"],
-        "frames": _frames(motion),
+        "frames": _frames(motion) | _mode_frames(trajectory, reached),
+        "gravity": _gravity(scene),
+        "events": _events(trajectory),
+        "ghosts": [_ghost_frames(ghost) for ghost in ghosts],
         "body": _mesh_data(body),
         "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion)],
         "base": _base_data(trajectory, motion, size),
@@ -132,11 +166,13 @@ def view_data(trajectory: Trajectory, title: str = "") -> dict[str, Any]:
 def _frames(motion: MotionSamples) -> dict[str, Any]:
     """Columns of at most ``MOST_FRAMES`` rows."""
     count = len(motion.time)
-    kept = np.linspace(0, count - 1, min(count, MOST_FRAMES)).round().astype(int)
+    kept = _kept_rows(count, MOST_FRAMES)
     thin = motion.rows(kept)
     columns = thin.columns
     columns["energy"] = motion.energy_error[kept] if motion.kept else thin.energy
-    left_out = {"moving_energy", "alpha", "rolling"}
+    left_out = {"moving_energy", "rolling"}
+    if not motion.alpha.shape[1]:
+        left_out |= {"alpha"}
     for k in range(thin.rolling.shape[1]):
         for name in ("position", "velocity", "orientation", "angular_velocity"):
             columns[f"rolling_{k}_{name}"] = thin.rolling_column(k, name)
@@ -154,6 +190,48 @@ def _frames(motion: MotionSamples) -> dict[str, Any]:
         if name in packed:  # they only lift the traces off the surfaces
             packed[name] = _packed(columns[name], "int16", 1 / 32767)
     return packed
+
+
+def _kept_rows(count: int, most: int) -> np.ndarray:
+    """Numbers of at most so many rows, the first and the last among them."""
+    return np.linspace(0, count - 1, min(count, most)).round().astype(int)
+
+
+def _mode_frames(trajectory: Trajectory, reached: np.ndarray) -> dict[str, Any]:
+    """How the body touches its base in each frame, where that changes."""
+    if trajectory.switches is None:
+        return {}
+    modes = np.asarray(trajectory.mode)[reached]
+    return {"mode": _packed(modes[_kept_rows(len(modes), MOST_FRAMES)], "int8")}
+
+
+def _gravity(scene: Any) -> list[float] | None:
+    """Sum of the scene's uniform fields [m/s^2]; None where it has none."""
+    fields = [x.acceleration for x in scene.loads if isinstance(x, Gravity)]
+    total = np.sum(np.asarray(fields, dtype=float).reshape(-1, 3), axis=0)
+    return total.tolist() if np.any(total) else None
+
+
+def _events(trajectory: Trajectory) -> list[dict[str, Any]]:
+    """Names and times of what happened [s], changes of the contact among it."""
+    found: list[dict[str, Any]] = []
+    if trajectory.event_record is not None:
+        for name, crossings in trajectory.events.items():
+            times = np.asarray(crossings.times, dtype=float)
+            known = times[np.isfinite(times)][:_MOST_EVENTS]
+            found.append({"name": name, "times": known.tolist()})
+    return found
+
+
+def _ghost_frames(trajectory: Trajectory) -> dict[str, Any]:
+    """Where a ghost is, at at most ``_GHOST_FRAMES`` of its times."""
+    names = "time", *_OF_GHOSTS
+    columns = {name: np.asarray(getattr(trajectory, name)) for name in names}
+    rows = [columns[name].reshape(len(columns["time"]), -1) for name in names]
+    finite = np.flatnonzero(np.isfinite(np.concatenate(rows, axis=1)).all(axis=1))
+    kept = finite[_kept_rows(len(finite), _GHOST_FRAMES)]
+    packed = {name: _packed(columns[name][kept], "float32") for name in _OF_GHOSTS}
+    return packed | {"time": _packed(columns["time"][kept], "float64")}
 
 
 def _body_mesh(trajectory: Trajectory, motion: MotionSamples, size: float) -> Mesh:

@@ -1,11 +1,12 @@
 """What came out of an ensemble: motions of many members."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -17,6 +18,7 @@ from ..validation.codes import Fields, outcome_of
 from .ensemble_members import by_axis
 from .event_record import EventRecord
 from .motion import AbstractMotion, Axis, Observable, Samples
+from .trajectory import Trajectory
 
 _Flat: TypeAlias = tuple[list[tuple[tuple[Any, ...], Any]], Any]
 
@@ -127,6 +129,55 @@ class Ensemble(AbstractMotion, eqx.Module):
             for code, fault, by in rows.tolist()
         ]
         return np.array(names)[place.reshape(np.shape(self.code))]
+
+    def member(self, number: int) -> Trajectory:
+        """One member's run, as ``rollkane.simulate`` gives it.
+
+        Args:
+            number: From 0 to N - 1.
+
+        Raises:
+            FieldError: no such member, or states that were not kept.
+        """
+        count = self.code.shape[-1]
+        if not 0 <= number < count:
+            remedy = f"give 0 to {count - 1}"
+            raise FieldError("Ensemble.member", number, "is not there", remedy)
+        samples = self._samples()
+        own: Callable[[Any], Any] = lambda x: jnp.asarray(x[number])
+        leaf: Callable[[int | None, Any], Any]
+        leaf = lambda axis, x: x if axis is None else own(x)
+        names = "code", "final_time", "final_state", "steps", "rejected_steps", "fault"
+        parts = {name: jax.tree.map(own, getattr(self, name)) for name in names}
+        return Trajectory(
+            time=jnp.asarray(self.time),
+            state=jax.tree.map(own, samples.state),
+            scene=cast("Scene", by_axis(leaf, self.scene_axes, self.scene)),
+            event_record=jax.tree.map(own, self.event_record),
+            method=self.method,
+            why=self.why,
+            **parts,
+        )
+
+    def view(
+        self, path: str | Path, title: str = "", member: int = 0, ghosts: int = 12
+    ) -> None:
+        """Write a page that shows a member in three dimensions, others as veils.
+
+        Args:
+            path: HTML file to write, .html or .htm.
+            title: Of the page.
+            member: Number of the one whose traces, forces and graphs are shown.
+            ghosts: How many others, spread over the members; 32 at most.
+
+        Raises:
+            FieldError: no such member, states that were not kept, another ending.
+        """
+        shown = self.member(member)
+        others = np.delete(np.arange(self.code.shape[-1]), member)
+        places = np.linspace(0, max(others.size - 1, 0), min(ghosts, others.size))
+        every = np.unique(others[places.round().astype(int)]).tolist()
+        shown.view(path, title, [self.member(k) for k in every])
 
     def _ends(self) -> np.ndarray:
         """Code, fault and the event that ended it, of each member; shape (N, 3)."""

@@ -1,6 +1,7 @@
 """What came out: a trajectory, with everything else computed from it when asked."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,13 +137,22 @@ class Trajectory(AbstractMotion):
             return figure_overview(self, title=title)
         return plot_overview(self, path, title=title)
 
-    def view(self, path: str | Path, title: str = "") -> None:
+    def view(
+        self,
+        path: str | Path,
+        title: str = "",
+        ghosts: "Sequence[Trajectory]" = (),
+    ) -> None:
         """Write one self-contained page that shows the motion in three dimensions.
 
         Args:
-            path: HTML file to write; opens from disk, without a network.
+            path: HTML file to write, .html or .htm; opens from disk, without a network.
             title: Of the page.
+            ghosts: Other runs of the same body, shown as veils; 32 at most.
+
+        Raises:
+            FieldError: another ending, a batch, or no state that could be shown.
         """
         from ..pictures.viewer import write_view
 
-        write_view(self, path, title=title)
+        write_view(self, path, title, ghosts)

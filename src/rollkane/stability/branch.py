@@ -109,17 +109,26 @@ class Branch:
             )
         )
 
-    def plot(self, path: str | PathLike[str], show: str | None = None) -> None:
-        """Write the diagram as a PNG, SVG or PDF (extra ``plot``).
+    def plot(
+        self,
+        path: str | PathLike[str] | None = None,
+        show: str | None = None,
+        title: str = "",
+    ) -> Any:
+        """Draw the diagram (extra ``plot``).
 
         Args:
-            path: File to write.
+            path: File to write, .png, .svg or .pdf; None for none.
             show: Held quantity, group velocity, or "growth" [1/s], against what is
                 varied; None: the growth.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
         """
         from ..pictures.plot_family import plot_family
 
-        plot_family(self, path, show)
+        return plot_family(self, path, show, title)
 
     def __str__(self) -> str:
         """How many points, and what is critical."""

@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -49,6 +50,20 @@ class LinearModel(NamedTuple):
     names: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw eigenvalues of A (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_linear_model
+
+        return plot_linear_model(self, path, title)
 
 
 def linearize(

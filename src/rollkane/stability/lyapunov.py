@@ -8,6 +8,7 @@ space would in time hide the exponents below zero.
 
 import dataclasses
 import functools
+from os import PathLike
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -92,6 +93,20 @@ class LyapunovSpectrum:
         """A table."""
         rows = zip(self.values, self.errors, strict=True)
         return "\n".join(f"{x:12.5g} +- {e:.2g} 1/s" for x, e in rows)
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw growth and exponents (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_lyapunov
+
+        return plot_lyapunov(self, path, title)
 
 
 class _Batch(NamedTuple):

@@ -1,6 +1,7 @@
 """Normal modes: periodic motions that begin as small vibrations about a rest."""
 
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
@@ -56,6 +57,20 @@ class NormalModes(NamedTuple):
     shapes: np.ndarray
     coordinates: tuple[str, ...]
     around: IndependentCoordinates
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw the shapes of the modes (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_normal_modes
+
+        return plot_normal_modes(self, path, title)
 
 
 class Amplitude(eqx.Module):

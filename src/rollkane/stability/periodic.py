@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any
 
 import jax.numpy as jnp
@@ -146,6 +147,20 @@ class PeriodicMotion:
             f"period {self.period:.9g} s, {kind}\ngroup: {group}\n"
             f"multipliers: {listed}\nexpected: {', '.join(self.expected)}"
         )
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw Floquet multipliers (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_periodic
+
+        return plot_periodic(self, path, title)
 
 
 def periodic_motion(

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from collections.abc import Mapping
+from os import PathLike
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -89,6 +90,20 @@ class PeriodicFamily:
             name: ``"period"``, ``"energy"`` and the like, or a symmetry's.
         """
         return np.array([point.measure(name) for point in self.points])
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw periods and largest multipliers (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_periodic_family
+
+        return plot_periodic_family(self, path, title)
 
 
 class _Course(NamedTuple):

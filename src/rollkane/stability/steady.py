@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from os import PathLike
 from typing import Any
 
 import jax
@@ -104,6 +105,20 @@ class SteadyMotion:
         if "energy_sign" in vars(self):  # to print a motion should compile nothing
             rows.append(f"  sign of {self.energy_sign}")
         return "\n".join(rows)
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw eigenvalues in the complex plane (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_spectra import plot_steady
+
+        return plot_steady(self, path, title)
 
 
 def _complex(value: complex) -> str:

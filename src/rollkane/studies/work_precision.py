@@ -95,12 +95,15 @@ class WorkPrecision:
         """Everything as JSON; what is not a number is null."""
         return json.dumps(_plain(dataclasses.asdict(self)), indent=1, allow_nan=False)
 
-    def plot(self, path: Any, title: str = "") -> None:
+    def plot(self, path: Any = None, title: str = "") -> Any:
         """Draw error and energy error against time (extra ``plot``).
 
         Args:
-            path: File to write, .png, .svg or .pdf.
+            path: File to write, .png, .svg or .pdf; None for none.
             title: Above the figure; the scene's name by default.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
 
         Raises:
             FieldError: no setting worked.
@@ -108,9 +111,11 @@ class WorkPrecision:
         if self.failure:
             remedy = "give other settings, or a shorter horizon"
             raise FieldError("WorkPrecision.rows", (), self.failure, remedy)
-        from ..pictures.plot_precision import plot_work_precision
+        from ..pictures import plot_precision
 
-        plot_work_precision(self, path, title or self.name)
+        if path is None:
+            return plot_precision.figure_work_precision(self, title or self.name)
+        return plot_precision.plot_work_precision(self, path, title or self.name)
 
 
 def work_precision(

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import cast
+from os import PathLike
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -98,6 +99,20 @@ class ActiveDirections:
         for i, name in enumerate(self.factors):
             low, high = self.total_bound_interval[:, i]
             yield f"  {name}: {self.total_bound[i]:.3g} ({low:.3g} to {high:.3g})"
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw eigenvalues and activity scores (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_indices import plot_active_directions
+
+        return plot_active_directions(self, path, title)
 
 
 def active_directions(

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from os import PathLike
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -178,3 +179,17 @@ class RareEvent:
             order = np.argsort(-abs(self.likeliest), kind="stable")[:8]
             parts = (f"{self.names[i]} {self.likeliest[i]:+.2f}" for i in order)
             yield f"  likeliest seen, in deviations: {', '.join(parts)}"
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw probabilities of the levels (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_indices import plot_rare_event
+
+        return plot_rare_event(self, path, title)

@@ -2,6 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
 
 import numpy as np
 
@@ -118,6 +120,20 @@ class SobolIndices:
                 low, high = _flat(ends, 2)[:, factor, number]
                 cells.append(f"{low:.3f} to {high:.3f}")
         return cells
+
+    def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
+        """Draw indices with their intervals (extra ``plot``).
+
+        Args:
+            path: File to write, .png, .svg or .pdf; None for none.
+            title: Above the figure.
+
+        Returns:
+            The matplotlib figure, or None where a file was written.
+        """
+        from ..pictures.plot_indices import plot_sobol
+
+        return plot_sobol(self, path, title)
 
 
 def _flat(x: np.ndarray, kept: int) -> np.ndarray:

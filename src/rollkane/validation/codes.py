@@ -29,6 +29,7 @@ class Code:
     INCONSISTENT_IMPACT = 11
     STOPPED = 12
     EVENT_NOT_FINITE = 13
+    INTERRUPTED = 14
 
 
 _REASONS = {
@@ -63,6 +64,7 @@ _REASONS = {
     Code.STOPPED: "an event with stop=True ended the run",
     Code.EVENT_NOT_FINITE: "an event's function gave NaN: nothing is known of it from "
     "final_time and final_state on",
+    Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
 
 _NAMES = {

@@ -135,6 +135,7 @@ rollkane.Motion = class {
     const at = this.locate(elapsed);
     const state = {
       frame: at.low,
+      elapsed,
       position: this.place("position", "velocity", at),
       orientation: this.turned("orientation", "angular_velocity", at),
       base: this.base(at),
@@ -150,6 +151,7 @@ rollkane.Motion = class {
     ]) {
       state[name] = this.between(name, at);
     }
+    state.mode = "mode" in this.columns ? this.columns.mode[at.low] : -1;
     state.rolling = [];
     while (`rolling_${state.rolling.length}_position` in this.columns) {
       const name = `rolling_${state.rolling.length}`;

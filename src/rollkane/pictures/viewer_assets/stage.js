@@ -1,4 +1,4 @@
-// Everything that is seen: body, base, traces, contact point, force, lights.
+// Everything that is seen: body, base, contact point, lights.
 "use strict";
 
 var rollkane = rollkane || {};
@@ -12,6 +12,10 @@ rollkane.colors = {
   bodyTrace: "#6a1f8a",
   contact: "#d11f2f",
   force: "#1d8a5f",
+  gravity: "#8a5a00",
+  spin: "#0b7a8c",
+  ghost: "#7d8794",
+  axes: ["#b3261e", "#2f7d32", "#1b4f91"],
   carried: "#5b2d8e",
   pull: "#b3261e",
 };
@@ -174,87 +178,11 @@ rollkane.reached = (motion, box) => {
   };
 };
 
-// A path that can be shown up to a frame and a point beyond it.
-rollkane.Trace = class {
-  constructor(points, color) {
-    // a path that winds much in little room is drawn thinner
-    const steps = points.slice(1).map((p, k) => Math.hypot(...p.map((x, i) => x - points[k][i])));
-    const extents = [0, 1, 2].map((i) => {
-      const values = points.map((p) => p[i]);
-      return Math.max(...values) - Math.min(...values);
-    });
-    const winding = steps.reduce((sum, x) => sum + x, 0) / Math.max(...extents, 1e-300);
-    const width = Math.min(Math.max(12 / Math.sqrt(winding), 1.2), 3);
-    const line = (flat) => {
-      const geometry = new THREE.LineGeometry();
-      geometry.setPositions(flat);
-      const material = new THREE.LineMaterial({ color, linewidth: width });
-      const object = new THREE.Line2(geometry, material);
-      object.frustumCulled = false;
-      object.renderOrder = 1;
-      return object;
-    };
-    this.points = points;
-    this.line = line(points.flat());
-    this.head = line([...points[0], ...points[0]]);
-    this.group = new THREE.Group();
-    this.group.add(this.line, this.head);
-  }
-
-  show(frame, point) {
-    this.line.geometry.instanceCount = frame;
-    this.line.visible = frame > 0;
-    this.head.geometry.setPositions([...this.points[frame], ...point]);
-  }
-};
-
-rollkane.Arrow = class {
-  constructor(size) {
-    this.group = new THREE.Group();
-    this.size = size;
-    this.parts = [0.35, 1].map((opacity) => {
-      const material = new THREE.MeshBasicMaterial({
-        opacity,
-        transparent: opacity < 1,
-        depthTest: opacity === 1,
-      });
-      const shaft = new THREE.CylinderGeometry(0.022 * size, 0.022 * size, 1, 20);
-      const tip = new THREE.ConeGeometry(0.07 * size, 0.2 * size, 24);
-      shaft.translate(0, 0.5, 0);
-      const pair = [shaft, tip].map((geometry) => new THREE.Mesh(geometry, material));
-      for (const part of pair) part.renderOrder = opacity < 1 ? 9 : 0;
-      this.group.add(...pair);
-      return { pair, material };
-    });
-  }
-
-  show(on) {
-    for (const { pair } of this.parts) {
-      for (const part of pair) part.visible = on;
-    }
-  }
-
-  point(origin, vector, pulls) {
-    const length = Math.hypot(...vector);
-    this.group.visible = Number.isFinite(length) && length > 1e-9 * this.size;
-    if (!this.group.visible) return;
-    const direction = new THREE.Vector3(...vector).divideScalar(length);
-    this.group.position.set(...origin);
-    this.group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction);
-    for (const { pair, material } of this.parts) {
-      pair[0].scale.y = length;
-      pair[1].position.y = length;
-      material.color.set(pulls ? rollkane.colors.pull : rollkane.colors.force);
-    }
-  }
-};
-
 rollkane.Stage = class {
   constructor(data, motion, box) {
     const { colors } = rollkane;
     this.size = data.size;
     this.motion = motion;
-    this.usualForce = data.force > 0 ? data.force : 1;
     this.scene = new THREE.Scene();
     this.lights(box.eye);
     this.body = new THREE.Group();
@@ -280,14 +208,11 @@ rollkane.Stage = class {
       this.path("contact_on_body", "body_outward"), colors.bodyTrace);
     this.body.add(this.onBody.group);
     this.contact = this.marker();
-    // a usual force reaches beyond the body: twice its arm, and some more
-    const arms = [...Array(motion.count).keys()].map((k) =>
-      Math.hypot(...motion.row("contact_on_body", k)),
-    );
-    this.reach = 2 * (arms.reduce((sum, x) => sum + x, 0) / motion.count) + 0.4 * data.size;
-    this.arrow = new rollkane.Arrow(0.5 * this.reach);
+    this.arrows = new rollkane.Arrows(data, motion);
+    this.ghosts = new rollkane.Ghosts(data);
     this.base.add(this.onBase.group, this.contact);
-    this.scene.add(this.body, this.base, this.arrow.group, ...this.rolling);
+    this.scene.add(this.body, this.base, ...this.rolling);
+    this.scene.add(this.arrows.group, this.ghosts.group);
   }
 
   lights(eye) {
@@ -404,17 +329,10 @@ rollkane.Stage = class {
     this.contact.position.set(...state.contact_on_base);
     this.onBase.show(state.frame, this.lifted(state.contact_on_base, state.base_outward));
     this.onBody.show(state.frame, this.lifted(state.contact_on_body, state.body_outward));
-    const scale = this.reach / this.usualForce;
-    const longest = 3 * this.reach;
-    const length = scale * Math.hypot(...state.contact_force);
-    const cut = length > longest ? longest / length : 1;
     const contact = new THREE.Vector3(...state.contact_on_base);
     contact.applyQuaternion(this.base.quaternion).add(this.base.position);
-    this.arrow.point(
-      contact.toArray(),
-      state.contact_force.map((f) => cut * scale * f),
-      state.normalForce < 0,
-    );
+    this.arrows.show(state, contact, this.body.quaternion);
+    this.ghosts.show(state);
     this.sun.target.position.copy(this.body.position);
     this.sun.position.copy(this.sunward).multiplyScalar(this.size).add(this.body.position);
   }

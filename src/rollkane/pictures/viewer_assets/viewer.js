@@ -7,6 +7,7 @@ rollkane.element = (id) => document.getElementById(id);
 rollkane.Player = class {
   constructor(data, renderer) {
     this.size = data.size;
+    this.title = data.title || "motion";
     this.motion = new rollkane.Motion(data.frames);
     this.box = rollkane.frame(this.motion, rollkane.corners(data));
     this.stage = new rollkane.Stage(data, this.motion, this.box);
@@ -30,7 +31,10 @@ rollkane.Player = class {
     this.camera.near = distance / 100;
     this.camera.far = distance + 12 * this.box.radius;
     this.camera.updateProjectionMatrix();
+    this.camera.updateMatrixWorld();
+    this.stage.arrows.fit(this.camera);
     this.renderer.render(this.stage.scene, this.camera);
+    rollkane.writeArrows(this);
   }
 
   ask() {
@@ -40,6 +44,7 @@ rollkane.Player = class {
       this.asked = false;
       this.advance(now);
       this.draw();
+      if (this.recorder) this.recorder.frame();
     });
   }
 
@@ -50,6 +55,7 @@ rollkane.Player = class {
     this.elapsed += passed * Number(rollkane.element("speed").value);
     if (this.elapsed < this.motion.duration) this.show();
     else this.jump(this.motion.duration);
+    if (this.recorder) this.ask();
   }
 
   // Put everything where it is at the present time.
@@ -64,6 +70,7 @@ rollkane.Player = class {
     this.stage.show(state);
     rollkane.write(state);
     rollkane.element("slider").value = this.elapsed;
+    if (this.timeline) this.timeline.show();
     this.ask();
   }
 
@@ -91,7 +98,9 @@ rollkane.Player = class {
     const [across, high, deep] = this.follows
       ? box.half.map((x) => Math.min(x, 4 * this.size))
       : box.half;
-    const distance = deep + Math.max(high, across / camera.aspect) / (0.76 * slope);
+    const { clientWidth, clientHeight } = this.renderer.domElement;
+    const room = Math.max(clientWidth - this.covered, 1) / Math.max(clientHeight, 1);
+    const distance = deep + Math.max(high, across / room) / (0.76 * slope);
     const target = this.follows ? this.stage.body.position.toArray() : box.center;
     controls.target.set(...target);
     camera.position.set(...target.map((x, i) => x + distance * box.eye[i]));
@@ -101,28 +110,56 @@ rollkane.Player = class {
     this.ask();
   }
 
+  // Width of the picture that the panel lies over [px], not more than two fifths.
+  get covered() {
+    const panel = rollkane.element("panel");
+    if (getComputedStyle(panel).position !== "fixed" || !panel.open) return 0;
+    const { clientWidth } = this.renderer.domElement;
+    return Math.min(panel.getBoundingClientRect().right, 0.4 * clientWidth);
+  }
+
   resize() {
     const { clientWidth, clientHeight } = this.renderer.domElement;
     this.renderer.setSize(clientWidth, clientHeight, false);
     this.camera.aspect = clientWidth / Math.max(clientHeight, 1);
+    // the middle of the picture is that of the part that is seen
+    const shift = -0.5 * this.covered;
+    this.camera.setViewOffset(clientWidth, clientHeight, shift, 0, clientWidth, clientHeight);
     this.camera.updateProjectionMatrix();
     this.ask();
   }
 
-  // Behind the page's name: "#frame=N" stops there, "&follow", "&force" switch these on.
+  // Show what the switches say.
+  switched() {
+    const on = (id) => rollkane.element(id).checked;
+    const { stage, timeline } = this;
+    for (const name of rollkane.ARROWS) stage.arrows.shown[name] = on(name);
+    stage.onBase.group.visible = stage.onBody.group.visible = on("traces");
+    stage.ghosts.group.visible = on("ghosts");
+    if (timeline.tall !== on("graph")) {
+      timeline.tall = on("graph");
+      timeline.prepare();
+    }
+    this.ask();
+  }
+
+  // Behind the page's name: "#frame=N" stops there, "&follow", "&force", "&axes" and so
+  // on switch these on, "&graph=0" off.
   // Returns whether a frame was asked for.
   obey() {
     const wish = new URLSearchParams(window.location.hash.slice(1));
-    for (const name of ["follow", "force"]) {
+    for (const name of ["follow", "traces", "ghosts", "graph", ...rollkane.ARROWS]) {
       if (wish.has(name)) rollkane.element(name).checked = wish.get(name) !== "0";
     }
-    this.stage.arrow.show(rollkane.element("force").checked);
+    this.switched();
     const frame = Number(wish.get("frame"));
     if (!wish.has("frame") || !Number.isInteger(frame)) return false;
     this.jumpToFrame(frame);
     return true;
   }
 };
+
+rollkane.ARROWS = ["force", "gravity", "omega", "axes"];
 
 rollkane.renderer = () => {
   const canvas = rollkane.element("stage");
@@ -149,15 +186,24 @@ rollkane.run = () => {
   }
   const player = new rollkane.Player(data, renderer);
   const { motion, stage, box } = player;
+  player.timeline = new rollkane.Timeline(
+    player, data, element("timeline"), element("quantity"));
+  player.recorder = new rollkane.Recorder(player, element("video"));
+  rollkane.player = player; // for programs that look at the page
   element("slider").max = motion.duration;
   element("follow").checked = box.radius > 15 * data.size;
+  element("ghosts-label").hidden = data.ghosts.length === 0;
+  element("mode-row").hidden = !("mode" in motion.columns);
+  element("graph").checked = window.innerHeight >= 560;
+  element("panel").open = window.innerWidth > 720;
   rollkane.speeds(element("speed"), motion.duration);
   rollkane.writeGrid(stage.spacing);
   rollkane.listen(player);
 
   stage.show(motion.state(0));
-  player.resize();
   const still = player.obey();
+  player.timeline.prepare();
+  player.resize();
   player.look();
   const calm = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
   if (!still) player.play(!calm);
@@ -166,29 +212,29 @@ rollkane.run = () => {
 
 rollkane.listen = (player) => {
   const { element } = rollkane;
-  const { stage, motion } = player;
-  const switched = (id, action) =>
-    element(id).addEventListener("change", (event) => {
-      action(event.target.checked);
-      player.ask();
-    });
-  switched("force", (on) => stage.arrow.show(on));
-  switched("traces", (on) => {
-    stage.onBase.group.visible = on;
-    stage.onBody.group.visible = on;
-  });
-  switched("follow", () => player.look());
+  const { motion } = player;
+  for (const id of ["traces", "ghosts", "graph", ...rollkane.ARROWS]) {
+    element(id).addEventListener("change", () => player.switched());
+  }
+  element("follow").addEventListener("change", () => player.look());
   element("reset").addEventListener("click", () => player.look());
+  element("screenshot").addEventListener("click", () => rollkane.screenshot(player));
+  element("video").addEventListener("click", () => player.recorder.toggle());
   element("play").addEventListener("click", () => player.play(!player.playing));
   element("slider").addEventListener("input", (event) => {
     player.elapsed = Number(event.target.value);
     player.show();
   });
   player.controls.addEventListener("change", () => player.ask());
-  window.addEventListener("resize", () => player.resize());
+  new ResizeObserver(() => player.resize()).observe(player.renderer.domElement);
+  element("panel").addEventListener("toggle", () => player.resize());
+  new ResizeObserver(() => player.timeline.prepare()).observe(element("bottom"));
   window.addEventListener("hashchange", () => player.obey());
   window.addEventListener("keydown", (event) => {
-    if (event.target.matches("select, input, button")) return;
+    const { target } = event;
+    if (target.matches("select") || event.ctrlKey || event.altKey || event.metaKey) return;
+    // what a button or a switch does with its own key
+    if (event.key === " " && target.matches("button, summary, [type=checkbox]")) return;
     const frame = motion.locate(player.elapsed).low;
     if (event.key === " ") player.play(!player.playing);
     else if (event.key === "ArrowRight") player.jumpToFrame(frame + 1);
@@ -258,6 +304,7 @@ rollkane.write = (state) => {
   const fixed = (x, digits) => (Number.isFinite(x) ? x.toFixed(digits) : "\u2013");
   const scientific = (x) => (Number.isFinite(x) ? x.toExponential(1) : "\u2013");
   element("time").textContent = fixed(state.time, 3);
+  element("mode").textContent = rollkane.MODES[state.mode]?.[0] ?? "\u2013";
   element("spin").textContent = fixed(state.spin, 3);
   element("normal-force").textContent = fixed(state.normalForce, 3);
   element("normal-force").className = state.normalForce < 0 ? "pulls" : "";
@@ -265,6 +312,24 @@ rollkane.write = (state) => {
   const error = element("energy-unit").textContent === "";
   const shown = error ? scientific(energy) : Number(energy.toPrecision(5)).toString();
   element("energy").textContent = energy === 0 ? "0" : shown;
+};
+
+// What arrows show, their scales and their names.
+rollkane.writeArrows = ({ stage, camera }) => {
+  const { element } = rollkane;
+  const { arrows } = stage;
+  const names = { force: "force", gravity: "gravity", omega: "angular velocity" };
+  for (const [id, name] of Object.entries(names)) {
+    const told = arrows.told(id);
+    element(`${id}-told`).textContent = told && `${name} ${told}`;
+  }
+  element("labels").replaceChildren(...arrows.labels(camera).map(({ text, x, y }) => {
+    const span = document.createElement("span");
+    span.textContent = text;
+    span.style.left = `${50 + 50 * x}%`;
+    span.style.top = `${50 - 50 * y}%`;
+    return span;
+  }));
 };
 
 // Speeds round the one with which the motion is neither a flash nor a day.

@@ -1,0 +1,311 @@
+"""The command that runs a scene for ranges of its numbers.
+
+Everything heavy is imported inside the functions, as in the other commands.
+"""
+
+import csv
+import io
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from .json_text import json_text
+from .output_files import check_targets, force_option, telling_of_files
+from .preparation import BAD_INPUT, STOPPED_EARLY, loaded, scene_argument, start_jax
+from .simulate_command import how_to_run, run_options, set_option, times_of
+from .sweep_points import Group, Point, Varied, groups_of, stacked, varied
+from .waiting import INTERRUPTED, waited
+
+_BLOCK = 64  # members that Ctrl-C loses at most, for each processor
+_LEAST, _BLOCKS = 8, 16  # members of a block, as many as there are lanes; blocks
+_SHOWN = 20  # lines of the table
+_UNITS = {
+    "position": "m",
+    "orientation": "1",
+    "angular_velocity": "rad/s",
+    "spin": "rad/s",
+    "tilt": "rad",
+    "contact_on_base": "m",
+    "energy": "J",
+    "normal_force": "N",
+    "friction_ratio": "1",
+    "outward": "1",
+}
+_AXES = {3: "xyz", 4: "wxyz"}
+_NOT_RUN = "not run"
+
+
+class Swept(NamedTuple):
+    """What a sweep found at N points.
+
+    Attributes:
+        over: What varied.
+        time: Output times [s], shape (T,).
+        observed: By name, shape (N, T, ...); NaN where not reached.
+        outcome: Why each motion ended, shape (N,); ``"not run"`` of those that Ctrl-C
+            left out.
+        final_time: [s], shape (N,).
+        loops: Which loops ran, and why.
+    """
+
+    over: Sequence[Varied]
+    time: Any
+    observed: dict[str, Any]
+    outcome: Any
+    final_time: Any
+    loops: list[str]
+
+    @property
+    def columns(self) -> dict[str, Any]:
+        """The table, shape (N,) each.
+
+        What varied, then of each observed number its last value, the least and the
+        greatest, and how the motion ended.
+        """
+        import warnings
+
+        import numpy as np
+
+        values = np.meshgrid(*(one.values for one in self.over), indexing="ij")
+        found: dict[str, Any] = {
+            one.path: x.ravel() for one, x in zip(self.over, values, strict=True)
+        }
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of those without any
+            for name, x in parts_of(self.observed).items():
+                found[f"{name}_last"] = x[:, -1]
+                found[f"{name}_min"] = np.nanmin(x, axis=1)
+                found[f"{name}_max"] = np.nanmax(x, axis=1)
+        return found | {"final_time": self.final_time, "outcome": self.outcome}
+
+
+def parts_of(observed: dict[str, Any]) -> dict[str, Any]:
+    """Numbers by name, shape (N, T): of a vector each component by its axis."""
+    found: dict[str, Any] = {}
+    for name, x in observed.items():
+        if x.ndim == 2:
+            found[name] = x
+            continue
+        for k, axis in enumerate(_AXES[x.shape[2]]):
+            found[f"{name}_{axis}"] = x[..., k]
+    return found
+
+
+@click.command()
+@scene_argument
+@click.option(
+    "--vary",
+    "over",
+    required=True,
+    multiple=True,
+    metavar="PATH=LOW:HIGH:COUNT",
+    help="body.mass=1:2:11, or the values: body.mass=1,2,5. Several make a grid.",
+)
+@click.option(
+    "--observe",
+    multiple=True,
+    type=click.Choice(list(_UNITS)),
+    default=("spin",),
+    show_default=True,
+    help="What is looked at; several times for more.",
+)
+@click.option("--out", type=click.Path(), help="Table: .csv; over time, too: .nc.")
+@click.option("--plot", type=click.Path(), help="Picture of one or two that vary.")
+@set_option
+@run_options
+@force_option
+@click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@click.option("--verbose", "-v", is_flag=True, help="Print which loop ran, and why.")
+@click.pass_context
+def sweep(
+    ctx: click.Context,
+    scene: str,
+    over: tuple[str, ...],
+    observe: tuple[str, ...],
+    out: str | None,
+    plot: str | None,
+    changes: tuple[str, ...],
+    force: bool,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+    **options: Any,
+) -> None:
+    r"""Run SCENE for ranges of its numbers, as one ensemble.
+
+    \b
+    rollkane sweep rattleback --vary "start.angular_velocity[2]=1:8:29" \
+        --observe spin --observe tilt --out table.csv --plot sweep.png
+
+    Of what is observed the table has the last value, the least and the greatest at the
+    output times. Exit codes as of simulate; at Ctrl-C the points that were done are
+    kept, the others are "not run".
+    """
+    asked = {"out": out, "plot": plot}
+    targets = {name: Path(file) for name, file in asked.items() if file is not None}
+    check_targets(targets, scene, force=force)
+    ranges = varied(over)
+    if plot is not None and len(ranges) > 2:
+        problem = f"draws one or two numbers that vary, not {len(ranges)}; use --out"
+        raise click.BadParameter(problem, param_hint="'--plot'")
+    start_jax()
+    file = loaded(ctx, scene, changes)
+    groups = groups_of(scene, changes, ranges)
+    if isinstance(groups, Point):
+        _refuse_point(groups, scene)
+        ctx.exit(BAD_INPUT)
+    observe = tuple(dict.fromkeys(observe))
+    swept, interrupted = _swept(groups, ranges, observe, options, quiet or as_json)
+    _show(swept, file.title, as_json, quiet, verbose)
+    with telling_of_files():
+        for name, target in targets.items():
+            _write(name, swept, target, file.title)
+            if not (quiet or as_json):
+                click.echo(f"  wrote {target}")
+    _end(ctx, swept, interrupted)
+
+
+def _refuse_point(point: Point, scene: str) -> None:
+    told = ", ".join(f"{path} = {value}" for path, value in point.values.items())
+    click.echo(f"{point.error}\nerror in {scene} at {told}", err=True)
+
+
+def _end(ctx: click.Context, swept: Swept, interrupted: bool) -> None:
+    """Say how many ended otherwise than they should, and exit."""
+    outcome = swept.outcome.tolist()
+    lost = outcome.count(_NOT_RUN)
+    if interrupted:
+        done = len(outcome) - lost
+        click.echo(f"stopped: {done} of {len(outcome)} points were kept", err=True)
+        ctx.exit(INTERRUPTED)
+    early = len(outcome) - outcome.count("completed")
+    if early:
+        told = f"error: {early} of {len(outcome)} motions ended early: see outcome"
+        click.echo(told, err=True)
+        ctx.exit(STOPPED_EARLY)
+
+
+def _swept(
+    groups: list[Group],
+    over: list[Varied],
+    observe: tuple[str, ...],
+    options: dict[str, Any],
+    quiet: bool,
+) -> tuple[Swept, bool]:
+    """The motions of all points, or of those that were done before Ctrl-C."""
+    from ..validation.checks import FieldError
+
+    file, count = groups[0].files[0], sum(len(group.places) for group in groups)
+    times = times_of(file, options.pop("duration"), options.pop("outputs"))
+    done: list[tuple[Any, Any]] = []
+
+    def work(watch: Any) -> None:
+        for group in groups:
+            for places, block in _blocks(group, times, observe, options):
+                if watch.ends:  # what it has is half of it
+                    return
+                done.append((places, block))
+
+    def share(watch: Any) -> float:
+        del watch
+        return sum(len(places) for places, _ in done) / count or math.nan
+
+    try:
+        interrupted = waited(work, share, quiet).interrupted
+    except FieldError as refused:
+        raise click.UsageError(str(refused)) from refused
+    if not done:
+        raise KeyboardInterrupt
+    return _joined(over, times, count, done), interrupted
+
+
+def _joined(
+    over: list[Varied], times: Any, count: int, done: list[tuple[Any, Any]]
+) -> Swept:
+    """Blocks with the numbers of their points, as what the sweep found."""
+    import numpy as np
+
+    outcome = np.full(count, _NOT_RUN, dtype=object)
+    final_time = np.full(count, np.nan)
+    observed: dict[str, Any] = {}
+    loops: set[str] = set()
+    for places, block in done:
+        outcome[places], final_time[places] = block.outcomes, block.final_time
+        loops.add(f"{block.method}{': ' if block.why else ''}{block.why}")
+        for name, x in block.observed.items():
+            if name not in observed:
+                observed[name] = np.full((count, *x.shape[1:]), np.nan)
+            observed[name][places] = x
+    return Swept(over, times, observed, outcome, final_time, sorted(loops))
+
+
+def _blocks(
+    group: Group, times: Any, observe: tuple[str, ...], options: dict[str, Any]
+) -> Iterator[tuple[Any, Any]]:
+    """Blocks of an ensemble, each with the numbers of its points."""
+    import numpy as np
+
+    from ..dynamics.ready_observables import READY
+    from ..simulation.ensembles import ensemble_blocks
+
+    def observed(scene: Any, t: Any, state: Any) -> dict[str, Any]:
+        return {name: READY[name](scene, t, state) for name in observe}
+
+    scene, axes = stacked([file.scene for file in group.files])
+    starts = [file.start for file in group.files]
+    places = np.asarray(group.places)
+    fair = max(_LEAST, -(-len(places) // _BLOCKS))
+    how = how_to_run(group.files[0], **options)
+    how |= {"scene_axes": axes, "block": min(_BLOCK, fair, len(places))}
+    for block in ensemble_blocks(scene, starts, times, observe=observed, **how):
+        yield places[block.members], block
+
+
+def _show(swept: Swept, title: str, as_json: bool, quiet: bool, verbose: bool) -> None:
+    columns = swept.columns
+    if as_json:
+        click.echo(json_text({"title": title, "columns": columns}))
+        return
+    if quiet:
+        return
+    click.echo(title)
+    rows = list(zip(*(x.tolist() for x in columns.values()), strict=True))
+    shown = [
+        [x if isinstance(x, str) else f"{x:.6g}" for x in row] for row in rows[:_SHOWN]
+    ]
+    widths = [max(map(len, column)) for column in zip(columns, *shown, strict=True)]
+    for row in (list(columns), *shown):
+        cells = zip(row, widths, strict=True)
+        click.echo("  " + "  ".join(f"{text:>{width}}" for text, width in cells))
+    if len(rows) > _SHOWN:
+        click.echo(f"  ... {len(rows) - _SHOWN} more; --out writes them")
+    for loop in swept.loops if verbose else ():
+        click.echo(f"  loop {loop}")
+
+
+def _write(name: str, swept: Swept, target: Path, title: str) -> None:
+    from ..files.atomic_file import write_whole
+    from ..files.file_endings import TABLES, ending
+
+    if name == "plot":
+        from ..pictures.plot_sweep import plot_sweep
+
+        grids = [(one.path, one.values) for one in swept.over]
+        plot_sweep(grids, swept.columns, _UNITS, target, title)
+    elif ending(target) in TABLES:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(swept.columns)
+        columns = (x.tolist() for x in swept.columns.values())
+        writer.writerows(zip(*columns, strict=True))
+        write_whole(target, text.getvalue().encode())
+    else:
+        from ..files.sweep_table import write_sweep
+
+        grids = [(one.path, one.values) for one in swept.over]
+        ends = {"final_time": swept.final_time, "outcome": swept.outcome}
+        write_sweep(target, grids, swept.time, swept.observed, ends, _UNITS, title)

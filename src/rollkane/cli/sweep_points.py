@@ -1,0 +1,163 @@
+"""Points of a sweep: numbers of a scene file that take a range of values each.
+
+Points whose scenes have the same structure are one ensemble: one compiled loop.
+"""
+
+import itertools
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple, NoReturn, TypeAlias, cast
+
+import click
+
+from .preparation import changes_of
+
+# each is loaded as a file of its own is, in about 3 ms
+MOST_POINTS = 100_000
+_Flat: TypeAlias = tuple[list[Any], Any]
+
+
+class Varied(NamedTuple):
+    """A number of the scene file, and its values.
+
+    Attributes:
+        path: Such as ``body.mass``.
+        values: In the order of the option.
+    """
+
+    path: str
+    values: tuple[float, ...]
+
+
+class Group(NamedTuple):
+    """Points whose scenes have the same structure.
+
+    Attributes:
+        places: Their numbers among all points.
+        files: Their scene files.
+    """
+
+    places: list[int]
+    files: list[Any]
+
+
+class Point(NamedTuple):
+    """A point that cannot be used.
+
+    Attributes:
+        values: By path.
+        error: What is wrong with its scene.
+    """
+
+    values: dict[str, str]
+    error: Exception
+
+
+def varied(given: Sequence[str]) -> list[Varied]:
+    """What options ``PATH=LOW:HIGH:COUNT`` or ``PATH=A,B,...`` say.
+
+    Raises:
+        click.BadParameter: an option of another form, a path twice, too many points.
+    """
+    found = [_one(path, text) for path, text in _apart(given)]
+    count = math.prod(len(one.values) for one in found)
+    if count > MOST_POINTS:
+        _refuse(f"asks for {count:,} points, more than {MOST_POINTS:,}")
+    return found
+
+
+def _apart(given: Sequence[str]) -> Iterable[tuple[str, str]]:
+    seen: set[str] = set()
+    for one in given:
+        path, equals, text = (part.strip() for part in one.partition("="))
+        if not (path and equals and text):
+            _refuse(f"{one!r} is not PATH=LOW:HIGH:COUNT, such as body.mass=1:2:11")
+        if path in seen:
+            _refuse(f"names {path} twice")
+        seen.add(path)
+        yield path, text
+
+
+def _one(path: str, text: str) -> Varied:
+    parts = text.split(":")
+    if len(parts) == 1:
+        return Varied(path, tuple(_number(path, x) for x in text.split(",")))
+    if len(parts) != 3 or not parts[2].strip().isdigit() or int(parts[2]) < 2:
+        _refuse(f"{path}={text} is neither LOW:HIGH:COUNT, with a COUNT >= 2, nor A,B")
+    low, high, count = _number(path, parts[0]), _number(path, parts[1]), int(parts[2])
+    if count > MOST_POINTS:
+        _refuse(f"asks for {count:,} points, more than {MOST_POINTS:,}")
+    step = (high - low) / (count - 1)
+    return Varied(path, (*(low + step * k for k in range(count - 1)), high))
+
+
+def _number(path: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        _refuse(f"{path}: {text.strip()!r} is not a finite number")
+    return value
+
+
+def _refuse(message: str) -> NoReturn:
+    raise click.BadParameter(message, param_hint="'--vary'")
+
+
+def groups_of(
+    scene: str, changes: tuple[str, ...], over: Sequence[Varied]
+) -> list[Group] | Point:
+    """The scene at every point, the last number varying fastest; or what is wrong.
+
+    Args:
+        scene: Name or path.
+        changes: Options ``PATH=VALUE`` for all points.
+        over: What varies.
+    """
+    from ..files.scene_files import SceneFileError, load_scene
+
+    shared = changes_of(changes)
+    found: dict[Any, Group] = {}
+    for place, point in enumerate(itertools.product(*(one.values for one in over))):
+        own = {one.path: repr(x) for one, x in zip(over, point, strict=True)}
+        try:
+            file = load_scene(scene, shared | own)
+        except SceneFileError as error:
+            return Point(own, error)
+        group = found.setdefault(_structure(file), Group([], []))
+        group.places.append(place)
+        group.files.append(file)
+    return list(found.values())
+
+
+def _structure(file: Any) -> Any:
+    """What scenes that can be members of one ensemble have in common."""
+    import jax
+    import numpy as np
+
+    leaves, tree = cast(_Flat, jax.tree.flatten((file.scene, file.start)))
+    shapes = tuple((np.shape(x), str(np.asarray(x).dtype)) for x in leaves)
+    run = (file.rtol, file.atol, file.method, file.times.tobytes())
+    # modes are those of all members
+    own, kind = cast(_Flat, jax.tree.flatten(file.modes))
+    return (tree, shapes, run, kind, tuple(np.asarray(x).tobytes() for x in own))
+
+
+def stacked(scenes: Sequence[Any]) -> tuple[Any, Any]:
+    """Scenes of one structure as one, and the axes of their members in it.
+
+    Numbers that are the same in all of them (tables of a record) stay as they are.
+    """
+    import jax
+    import numpy as np
+
+    tree = cast(Any, jax.tree.structure(scenes[0]))
+    leaves: list[Any] = []
+    axes: list[int | None] = []
+    for own in zip(*map(jax.tree.leaves, scenes), strict=True):
+        arrays = [np.asarray(x) for x in own]
+        same = all(np.array_equal(arrays[0], x) for x in arrays)
+        leaves.append(own[0] if same else jax.numpy.asarray(np.stack(arrays)))
+        axes.append(None if same else 0)
+    return jax.tree.unflatten(tree, leaves), jax.tree.unflatten(tree, axes)

@@ -1,0 +1,152 @@
+"""The command that sweeps: its grid, its table, its files, and how it refuses."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.cli import sweep_command
+from rollkane.codegen.run_watch import _WATCH
+from rollkane.files.scene_files import load_scene
+from tests.unit.test_cli import BALL, rollkane_with
+
+SPIN, MASS = "start.angular_velocity[2]", "body.mass"
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    path = tmp_path_factory.mktemp("sweep") / "ball.toml"
+    path.write_text(BALL.replace("outputs = 21", "outputs = 3"))
+    return path
+
+
+def table(path):
+    with Path(path).open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def swept(ball):
+    """A grid of two numbers, written as both tables and a picture."""
+    out, nc = ball.with_suffix(".csv"), ball.with_suffix(".nc")
+    arguments = ["sweep", str(ball), "--vary", f"{SPIN}=1:3:3", "--vary", f"{MASS}=1,2"]
+    arguments += ["--observe", "position", "--observe", "spin"]
+    plot = ball.with_suffix(".png")
+    done = rollkane_with(*arguments, "--out", str(out), "--plot", str(plot), "-v")
+    assert done.exit_code == 0, done.output
+    again = rollkane_with(*arguments, "--out", str(nc), "--json")
+    assert again.exit_code == 0, again.output
+    return done.output, out, nc, json.loads(again.output), plot
+
+
+def test_the_table_is_the_runs(ball, swept):
+    """Each row is the run of a scene file that has these numbers."""
+    text, out, _, _, plot = swept
+    rows = table(out)
+    grid = [(float(row[SPIN]), float(row[MASS])) for row in rows]
+    assert grid == [(1, 1), (1, 2), (2, 1), (2, 2), (3, 1), (3, 2)]
+    for row in rows[1:3]:
+        file = load_scene(ball, {path: row[path] for path in (SPIN, MASS)})
+        run = rk.simulate(file.scene, file.start, file.times, rtol=file.rtol)
+        # both land on the outputs with errors of their own, 1e-9 a step by default and
+        # some hundred steps; measured 2e-11
+        for k, axis in enumerate("xyz"):
+            own = np.asarray(run.position)[:, k]
+            named = f"position_{axis}"
+            for said, x in (
+                (("last"), own[-1]),
+                ("min", own.min()),
+                ("max", own.max()),
+            ):
+                assert float(row[f"{named}_{said}"]) == pytest.approx(x, abs=1e-7)
+        assert row["outcome"] == "completed"
+        assert float(row["final_time"]) == 1.0
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert "loop native" in text
+
+
+def test_the_file_over_time_and_json_say_the_same(swept):
+    import xarray
+
+    _, out, nc, printed, _ = swept
+    rows = table(out)
+    with xarray.open_dataset(nc, engine="h5netcdf") as data:
+        assert data["position"].dims == (SPIN, MASS, "time", "axis")
+        last = data["position"].isel(time=-1).sel(axis="x").values.ravel()
+        np.testing.assert_array_equal(
+            last, [float(row["position_x_last"]) for row in rows]
+        )
+        assert data["spin"].attrs["units"] == "rad/s"
+        assert set(data["outcome"].values.ravel()) == {"completed"}
+    assert list(printed["columns"]) == list(rows[0])
+    assert printed["columns"]["spin_last"] == [float(row["spin_last"]) for row in rows]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--vary", "body.mass"], "is not PATH=LOW:HIGH:COUNT"),
+        (["--vary", "body.mass=1:2"], "neither LOW:HIGH:COUNT"),
+        (["--vary", "body.mass=1:2:1"], "with a COUNT >= 2"),
+        (["--vary", "body.mass=1:nan:3"], "'nan' is not a finite number"),
+        (["--vary", "body.mass=1:2:100001"], "more than 100,000"),
+        (["--vary", "a=1:2:1000", "--vary", "b=1:2:1000"], "1,000,000 points"),
+        (
+            ["--vary", "body.mass=1,2", "--vary", "body.mass=3,4"],
+            "names body.mass twice",
+        ),
+        (["--vary", "body.mass=1,-1"], "at body.mass = -1.0"),
+        (["--vary", "body.mas=1,2"], "body.mas"),
+        (["--vary", "body.mass=1,2", "--observe", "colour"], "colour"),
+        (["--vary", "body.mass=1,2", "--out", "table.txt"], "ending .txt is not known"),
+    ],
+)
+def test_what_cannot_be_swept_is_told(ball, options, says):
+    done = rollkane_with("sweep", str(ball), *options)
+    assert done.exit_code == 2
+    assert says in " ".join(re.sub(r"[│\n]", " ", done.output).split())
+
+
+def test_three_numbers_cannot_be_drawn(ball):
+    options = [f"--vary={name}=1,2" for name in ("a", "b", "c")]
+    done = rollkane_with("sweep", str(ball), *options, "--plot", "a.png")
+    assert done.exit_code == 2
+    assert "draws one or two numbers" in done.output
+
+
+def test_motions_that_end_early_are_counted(ball):
+    done = rollkane_with(
+        "sweep", str(ball), "--vary", "body.mass=1,2", "--max-steps", "5", "-q"
+    )
+    assert done.exit_code == 3
+    assert done.output == "error: 2 of 2 motions ended early: see outcome\n"
+
+
+def test_ctrl_c_keeps_the_points_that_were_done(ball, monkeypatch):
+    """The first block comes, then the signal: the rest is told as not run."""
+    blocks = sweep_command._blocks
+
+    def then_ctrl_c(*given):
+        for found in blocks(*given):
+            yield found
+            _WATCH.ends = 1
+
+    def as_interrupted(work, share, quiet):
+        found = real(work, share, quiet)
+        return found._replace(interrupted=True)
+
+    real = sweep_command.waited
+    monkeypatch.setattr(sweep_command, "_BLOCK", 2)
+    monkeypatch.setattr(sweep_command, "_blocks", then_ctrl_c)
+    monkeypatch.setattr(sweep_command, "waited", as_interrupted)
+    out = ball.with_name("part.csv")
+    done = rollkane_with(
+        "sweep", str(ball), "--vary", "body.mass=1:2:5", "--out", str(out), "-q"
+    )
+    assert (done.exit_code, done.output) == (130, "stopped: 2 of 5 points were kept\n")
+    outcomes = [row["outcome"] for row in table(out)]
+    assert outcomes == ["completed"] * 2 + ["not run"] * 3
