@@ -23,7 +23,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(PYTEST) -m "not slow"
 
-test-all: $(VENV)/.installed
+test-all: $(VENV)/.docs
 	$(PYTEST)
 
 test-releases: $(VENV)/.installed
@@ -92,7 +92,9 @@ stability: $(VENV)/.bench
 	$(BIN)/python benchmarks/scales.py --out benchmarks/results
 
 docs: $(VENV)/.docs
-	$(BIN)/mkdocs build --strict
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going -q -d build/doctrees \
+		-D nb_execution_cache_path=$(CURDIR)/build/notebooks docs site
+	$(BIN)/python docs/check_site.py site
 
 clean:
 	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn .venv-salib .venv-sysid out site build dist
