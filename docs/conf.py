@@ -21,7 +21,14 @@ extensions = [
     "myst_nb",
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build", "_extensions", "conf.py", "check_site.py", "images/*.py"]
+exclude_patterns = [
+    "_build",
+    "_extensions",
+    "_scene_files",
+    "conf.py",
+    "check_site.py",
+    "images/*.py",
+]
 
 # Text and equations.
 myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
