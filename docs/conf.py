@@ -16,6 +16,7 @@ release = re.findall('__version__ = "(.*)"', VERSION)[0]
 extensions = [
     "sphinx.ext.autodoc",
     "docstrings",
+    "gallery",
     "mathml",
     "notebooks",
     "myst_nb",

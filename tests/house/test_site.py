@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+import rollkane as rk
+from rollkane.files.scene_files import load_scene
+
 from .test_public_face import PUBLIC
 
 ROOT = Path(__file__).parents[2]
@@ -38,6 +41,43 @@ def test_every_public_name_is_in_the_reference_once():
     names = re.findall(directive, "\n".join(pages), re.MULTILINE)
     assert len(names) == len(set(names))
     assert {x for x in names if x.count(".") < 2 and x[0] != "_"} >= set(PUBLIC)
+
+
+def test_links_of_the_readme_lead_somewhere():
+    links = re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text())
+    assert len(links) > 20
+    for link in links:
+        assert (ROOT / link).is_file(), link
+
+
+def gallery():
+    """Name of a scene -> its file, from the page."""
+    page = (DOCS / "gallery.md").read_text()
+    shown = r"!\[([\w-]+)\]\(images/gallery/\1\.png\) \*\*\1\*\*: [^|]+ "
+    shown += r"\(\[file\]\((.+?)\)\)"
+    return {name: (DOCS / path).resolve() for name, path in re.findall(shown, page)}
+
+
+def test_the_gallery_has_picture_and_file_of_each_scene():
+    source = (DOCS / "images" / "gallery.py").read_text()
+    assert list(gallery()) == re.findall(r'Shown\("([\w-]+)"', source)
+    built_in = {p.stem for p in (ROOT / "src/rollkane/scenes").glob("*.toml")}
+    own = {p.stem for p in (DOCS / "gallery").glob("*.toml")}
+    assert set(gallery()) == built_in | own
+    for name, path in gallery().items():
+        assert path.is_file()
+        assert (DOCS / "images" / "gallery" / f"{name}.png").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "path", sorted((DOCS / "gallery").glob("*.toml")), ids=lambda p: p.stem
+)
+def test_scenes_of_the_gallery_run(path):
+    file = load_scene(path)
+    times = file.times[::20]
+    run = rk.simulate(file.scene, file.start, times, rtol=file.rtol, modes=file.modes)
+    assert run.succeeded
 
 
 def site_checker():
