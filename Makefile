@@ -23,7 +23,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed
 	$(PYTEST) -m "not slow"
 
-test-all: $(VENV)/.installed
+test-all: $(VENV)/.docs
 	$(PYTEST)
 
 test-releases: $(VENV)/.installed
@@ -97,8 +97,16 @@ stability: $(VENV)/.bench
 	$(BIN)/python benchmarks/stability.py --out benchmarks/results
 	$(BIN)/python benchmarks/scales.py --out benchmarks/results
 
-docs: $(VENV)/.docs
-	$(BIN)/mkdocs build --strict
+docs: $(VENV)/.docs build/gallery/.made
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going -q -d build/doctrees \
+		-D nb_execution_cache_path=$(CURDIR)/build/notebooks docs site
+	$(BIN)/python docs/check_site.py site
+
+# what scenes, viewer or loop look like may have changed with any source
+build/gallery/.made: $(VENV)/.docs docs/images/gallery.py $(wildcard docs/gallery/*.toml) \
+		$(shell find src/rollkane -name '*.py' -o -name '*.js' -o -name '*.toml')
+	$(BIN)/python docs/images/gallery.py pages build/gallery
+	@touch $@
 
 clean:
 	rm -rf $(VENV) .venv-other .venv-mujoco .venv-exudyn .venv-salib .venv-sysid out site build dist

@@ -23,7 +23,7 @@ def test_the_table_is_read():
 # (1.17) writes derivatives of vectors out by components: automatic here
 PAPER = {f"1.{k}" for k in range(1, 17)} | {f"2.{k}" for k in range(1, 11)}
 NUMBERS = r"\(([1-9]\d?\.\d+)\)(?: to \(([1-9]\d?\.\d+)\))?"
-OWN = re.findall(r"^    \((\d+\.\d+)\) ", PAGE, re.M)
+OWN = re.findall(r"^\$\$ \((\d+\.\d+)\)$", PAGE, re.M)
 
 
 def numbers_of(text: str) -> tuple[list[str], list[str]]:

@@ -303,7 +303,7 @@ def outward(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, 
 def friction_ratio(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, ""]:
-    """Friction coefficient that rolling needs, |tangential| / N [1]."""
+    """Friction coefficient that rolling needs, ``|tangential| / N`` [1]."""
     press, pull = press_and_pull(scene, t, state)
     return norm(pull) / press
 

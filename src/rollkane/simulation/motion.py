@@ -185,7 +185,7 @@ class AbstractMotion(abc.ABC):
 
     @property
     def friction_ratio(self) -> Float[Array, " T"]:
-        """Friction coefficient that rolling needs, |tangential| / N [1], shape (T,)."""
+        """Friction coefficient that rolling needs, ``|T| / N`` [1], shape (T,)."""
         return self.each(observables.friction_ratio)
 
     @property

@@ -99,7 +99,7 @@ class RollingBodyResult:
 
     @property
     def friction_ratio(self) -> Float[Array, " T"]:
-        """Friction coefficient that rolling needs, |tangential| / N [1], shape (T,)."""
+        """Friction coefficient that rolling needs, ``|T| / N`` [1], shape (T,)."""
         return self._each("friction_ratio")
 
     @property
