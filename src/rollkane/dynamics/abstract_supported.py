@@ -39,13 +39,14 @@ class AbstractSupported(eqx.Module):
         """Its masses at one instant."""
 
     def carried_apart(
-        self, t: Array, alpha: Any, alpha_dot: Float[Array, " n"]
+        self, apart: Apart, alpha: Any, alpha_dot: Float[Array, " n"]
     ) -> Carried:
-        """The same, where they are ``apart`` with fewer columns.
+        """Its masses with fewer columns, for a part whose coordinates are ``apart``.
 
         A column for the first coordinate of every mass, one for the second, ...
         """
-        return self.carried(t, alpha, alpha_dot)
+        del apart, alpha, alpha_dot
+        raise NotImplementedError("its coordinates are not apart")
 
     @abc.abstractmethod
     def generalized_force(

@@ -50,7 +50,10 @@ def condenses(scene: Scene) -> bool:
 
 def _together(part: AbstractSupported) -> int:
     """How many coordinates of a part are solved for together."""
-    return part.count if part.apart is None else part.apart.each
+    if part.count <= FEW:
+        return part.count
+    apart = part.apart
+    return part.count if apart is None else apart.each
 
 
 class _Eliminated(NamedTuple):
@@ -121,24 +124,28 @@ def condensed(
     further = further[_TURN:]
     carried: list[Masses] = []
     eliminated: list[_Eliminated] = []
-    for part, alpha, alpha_dot in parts:
-        own = part.carried_apart(t, alpha, alpha_dot)
+    aparts = [part.apart if part.count > FEW else None for part, *_ in parts]
+    for (part, alpha, alpha_dot), apart in zip(parts, aparts, strict=True):
+        if apart is None:
+            own = part.carried(t, alpha, alpha_dot)
+        else:
+            own = part.carried_apart(apart, alpha, alpha_dot)
         masses = masses_of(own, contact, system.proper)
         pushes, further = further[: part.count], further[part.count :]
         applied = part.applied(t, alpha, alpha_dot)
         if applied is not None:
             pushes = [a + b for a, b in zip(pushes, applied, strict=True)]
-        if part.apart is not None:
-            pushes = part.apart.split(jnp.stack(pushes))
-        by_mass = part.apart is not None
+        by_mass = apart is not None
+        if by_mass:
+            pushes = apart.split(jnp.stack(pushes))
         rows, right, found = _without(rows, right, masses, pushes, by_mass)
         carried.append(masses)
         eliminated.append(found)
     turn = solve_spd(rows, right)
     by_part = [found.accelerations(turn) for found in eliminated]
     rates = [
-        jnp.stack(own) if part.apart is None else part.apart.joined(own)
-        for (part, *_), own in zip(parts, by_part, strict=True)
+        jnp.stack(own) if apart is None else apart.joined(own)
+        for apart, own in zip(aparts, by_part, strict=True)
         if own
     ]
     solution = Solution(jnp.stack(turn), jnp.concatenate(rates))

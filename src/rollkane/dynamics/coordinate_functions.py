@@ -206,9 +206,9 @@ def apart_of(position: UserFunction, masses: int, coordinates: int) -> Apart | N
     """How coordinates are shared out among masses, by the program of their places.
 
     None where one coordinate may move several masses, or masses have different numbers
-    of them; and for a few coordinates, which need no such structure.
+    of them.
     """
-    if coordinates <= FEW or not masses or coordinates % masses:
+    if not masses or coordinates % masses:
         return None
     place: Callable[[Array, UserFunction], Array] = lambda alpha, own: own(alpha)
     try:

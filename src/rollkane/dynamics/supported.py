@@ -73,7 +73,6 @@ class PointMasses(_Driven):
     force: UserFunction | None
     potential: UserFunction | None
     count: int = eqx.field(static=True)
-    _apart: Apart | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -115,12 +114,14 @@ class PointMasses(_Driven):
         self.position = made.functions["position"]
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
-        self._apart = apart_of(self.position, self.mass.shape[0], self.count)
 
     @property
     def apart(self) -> Apart | None:
-        """How its coordinates are shared out among its masses; None: they are not."""
-        return self._apart
+        """How its coordinates are shared out among its masses; None: they are not.
+
+        Read off its position's program, each time: a part may get another one.
+        """
+        return apart_of(self.position, self.mass.shape[0], self.count)
 
     def carried(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
@@ -133,13 +134,11 @@ class PointMasses(_Driven):
         )
 
     def carried_apart(
-        self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+        self, apart: Apart, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
     ) -> Carried:
         """The same, with a column for each mass's first, second, ... coordinate."""
-        if self._apart is None:
-            return self.carried(t, alpha, alpha_dot)
         place, velocity, bias = rates_of(self.position, alpha, alpha_dot)
-        partials = self._apart.partials(self.position, alpha)
+        partials = apart.partials(self.position, alpha)
         return Carried(self.mass, place.T, velocity.T, bias.T, partials)
 
 
