@@ -3,8 +3,8 @@
 A second way to the same motions, with nothing of rollkane: every body has a position, a
 rotation matrix, velocities of its mass centre and an angular velocity, all on FIXED
 axes; every contact a point on each of its two surfaces and three multipliers, the
-force. Surfaces are ellipsoids (from inside or outside) and planes, by their level
-functions. Free particles hang on springs from points of bodies.
+force. Surfaces are ellipsoids and cylinders (from inside or outside) and planes, by
+their level functions, and rims. Free particles hang on springs from points of bodies.
 """
 
 import dataclasses
@@ -17,8 +17,8 @@ from scipy.integrate import solve_ivp
 class Quadric:
     """``side (sum (p_i / a_i)^2 - 1) / 2 = 0``; side 1: material inside, -1: outside.
 
-    A plane z = 0 where there are no semi-axes. ``place`` and ``turn`` put its axes
-    into the body's: p_body = place + turn p.
+    A plane z = 0 where there are no semi-axes, a cylinder where one is infinite.
+    ``place`` and ``turn`` put its axes into the body's: p_body = place + turn p.
     """
 
     semi_axes: np.ndarray | None = None
@@ -41,6 +41,23 @@ class Quadric:
 
 
 @dataclasses.dataclass
+class Rim:
+    """A circle about z, which touches by its edge: its normal is the carrier's."""
+
+    radius: float
+
+    def pace(self, point, R, N, Sc, turning):
+        """Velocity of the contact over it: the tangent stays across the normal.
+
+        With e out along the radius and s the speed, T' = w x T - (s / r) e and
+        N' = w_c x N - Sc s T, of which N . T' + N' . T = 0.
+        """
+        e = point / self.radius
+        out, T = R @ e, R @ np.cross(np.eye(3)[2], e)
+        return T @ turning / (T @ Sc @ T + N @ out / self.radius) * T
+
+
+@dataclasses.dataclass
 class Rigid:
     """A body: mass, inertia about its mass centre, mass centre from its origin."""
 
@@ -56,7 +73,7 @@ class Touch:
     carrier: int
     base: Quadric
     body: int
-    own: Quadric
+    own: Quadric | Rim
     rubber: bool = False  # no spin about the normal, by a fourth multiplier: a torque
 
 
@@ -126,17 +143,22 @@ class Model:
             b, c = touch.body, touch.carrier
             center = self.bodies[b].center
             arm = R[b] @ (on_body[k] - center)
-            normal, S = touch.own.normal_and_shape(on_body[k])
-            N, S = R[b] @ normal, R[b] @ S @ R[b].T
             if c < 0:
                 Rc, wc = ground[1], ground[3]
                 arm_c = Rc @ on_base[k]
             else:
                 Rc, wc = R[c], w[c]
                 arm_c = Rc @ (on_base[k] - self.bodies[c].center)
-            _, Sc = touch.base.normal_and_shape(on_base[k])
-            whole = S + Rc @ Sc @ Rc.T + np.outer(N, N)
-            V = np.linalg.solve(whole, np.cross(N, w[b] - wc))
+            normal, Sc = touch.base.normal_and_shape(on_base[k])
+            N, Sc = -Rc @ normal, Rc @ Sc @ Rc.T
+            if isinstance(touch.own, Rim):
+                turning = np.cross(N, w[b] - wc)
+                V = touch.own.pace(on_body[k], R[b], N, Sc, turning)
+            else:
+                normal, S = touch.own.normal_and_shape(on_body[k])
+                N, S = R[b] @ normal, R[b] @ S @ R[b].T
+                whole = S + Sc + np.outer(N, N)
+                V = np.linalg.solve(whole, np.cross(N, w[b] - wc))
             base_rates[k], body_rates[k] = Rc.T @ V, R[b].T @ V
             if k in spins:
                 row = 3 * m + spins.index(k)

@@ -127,6 +127,27 @@ def ball_in_tube(M, a, m, r, half, angle, speeds):
     return kane.rolling_contacts(bodies.system, contacts, q, speeds)
 
 
+def cylinder_in_tube(M, a, m, r, half):
+    """A thin tube along y on a plane, and a solid cylinder at rest in it, by rims."""
+    tube, solid = np.diag([0.3, 0.3, M * a * a]), np.diag([0.02, 0.02, m * r * r / 2])
+    bodies = kane.free_bodies([M, m], [tube, solid])
+    outer, cylinder = bodies.frames
+    contacts = [
+        kane.RollingContact(end, rk.DiscEdge(a), kane.ground, rk.Plane())
+        for end in ends_of(outer, half)
+    ]
+    inner = rk.Cylinder(a, inside=True)
+    contacts += [
+        kane.RollingContact(
+            end, rk.DiscEdge(r), outer, inner, near=[0.0, s * half, 0.0]
+        )
+        for end, s in zip(ends_of(cylinder, half), (1, -1), strict=True)
+    ]
+    turn = [np.sqrt(0.5), -np.sqrt(0.5), 0, 0]
+    q = [0, 0, a, *turn, 0, 0, r, *turn]
+    return kane.rolling_contacts(bodies.system, contacts, q, np.zeros(12))
+
+
 BICYCLE = kane.Bicycle()
 
 

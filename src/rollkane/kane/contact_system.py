@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import for_one_call
 from ..geometry.surfaces import AbstractPointSurface, AbstractSurface
 from ..kinematics.contact_place import check_surface
 from ..validation.checks import FieldError, flag, is_traced, real
@@ -334,10 +335,17 @@ def _normal_rows(shared: Shared, normals: np.ndarray, count: int) -> np.ndarray:
 
 def _along(function: Any, rolling: RollingSystem, time: Any, state: KaneState) -> Any:
     time = as_time(time) if jnp.ndim(time) == 0 else jnp.asarray(time)
+    return _mapped(function, rolling, time, state)
+
+
+@for_one_call
+def _mapped(
+    function: Any, rolling: RollingSystem, time: Array, state: KaneState
+) -> Any:
     mapped = function
     for _ in range(state.q.ndim - 1):
         mapped = jax.vmap(mapped, in_axes=(None, 0, 0))
-    return eqx.filter_jit(mapped)(rolling, time, state)
+    return mapped(rolling, time, state)
 
 
 def _gaps(rolling: RollingSystem, t: Array, state: KaneState) -> Array:

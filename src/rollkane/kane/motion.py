@@ -206,9 +206,11 @@ def simulate(
 
 def _kept_well(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
     """On the configuration, to rounding after a loose run, too."""
-    for _ in range(3):
-        state = kept_state(system, t, state)
-    return state
+
+    def again(state: KaneState, _: None) -> tuple[KaneState, None]:
+        return kept_state(system, t, state), None
+
+    return jax.lax.scan(again, state, None, length=3)[0]
 
 
 def _sizes(state: KaneState) -> KaneState:

@@ -1,0 +1,54 @@
+"""Bodies that roll on bodies, by contacts between free bodies: a third way."""
+
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane import kane
+
+from ..pairs_by_kane import by_kane, origins
+from ..quick import slow_but
+from ..random_pairs import CHAOTIC, KINDS, SEEDS, Pairs
+
+
+def differences(kind, seed, span):
+    """Of the places of all bodies [m], and the system with its run."""
+    pairs = Pairs(kind, seed)
+    times = np.linspace(0.0, span, 6)
+    nested = rk.simulate(pairs.scene, pairs.start, times, rtol=1e-12)
+    assert nested.code == rk.Code.COMPLETED
+    rolling = by_kane(pairs, nested)
+    assert not rolling.redundant
+    run = kane.simulate(rolling.system, rolling.start, times, rtol=1e-12)
+    assert run.succeeded, run.reason
+    seen = [pairs.motion_of(nested, path) for path in pairs.paths]
+    off = np.abs(origins(pairs, run) - [motion.position for motion in seen]).max()
+    return off, rolling, run, [motion.contact_force for motion in seen]
+
+
+# a tilted cavity, a ground that turns, an edge; each compiles for half a minute
+QUICK = (
+    "ball in shell on plane",
+    "ball on ball on turntable",
+    "disc in a hoop",
+)
+
+
+@pytest.mark.parametrize("kind", slow_but(QUICK, KINDS))
+def test_contacts_of_free_bodies_agree(kind):
+    # as for the twin by Newton's equations
+    assert differences(kind, 0, 1.0)[0] < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("turn", range(2))
+@pytest.mark.parametrize("kind", KINDS)
+def test_contacts_of_free_bodies_agree_for_five_seconds(kind, turn):
+    seed = SEEDS.get(kind, range(1, 5))[turn]
+    off, rolling, run, forces = differences(kind, seed, CHAOTIC.get(kind, 5.0))
+    assert off < 1e-9
+    # forces are as exact as places times the square of a rate of some 10 / s; of the
+    # largest
+    found = rolling.forces(run.time, run.state).force
+    error = np.abs(np.swapaxes(found, 0, 1) - forces).max()
+    assert error < 1e-7 * np.abs(found).max()
