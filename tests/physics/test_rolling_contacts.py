@@ -155,6 +155,7 @@ def test_contacts_hold_for_long(last):
     kept(rolling, run)
 
 
+@pytest.mark.slow
 def test_a_ball_between_turning_plates_for_long():
     below = plate(0.0, 0.7, np.zeros(3), np.eye(3))
     above = plate(0.0, 1.9, [0.5, 0.0, 0.6], FLIPPED)
