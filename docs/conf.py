@@ -48,10 +48,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # types of arguments are told in words, with units
 autodoc_preserve_defaults = True
 autoclass_content = "both"
-autodoc_default_options = {
-    "members": True,
-    "inherited-members": "Module, tuple, int, Enum, Exception",
-}
+autodoc_default_options = {"members": True}
 
 # Pages.
 html_theme = "furo"

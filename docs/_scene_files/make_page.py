@@ -45,16 +45,21 @@ other fields it has. [Scene files](scene_files.md) say how a file is written,
 """,
         ("surface",),
     ),
-    "scene_parts": (
-        """# Bases, loads and parts in scene files
+    "scene_bases": (
+        """# Bases and loads in scene files
 
-What a scene may have besides a body, a start and a run: [Scene files](scene_files.md)
-say how a file is written.
+What a body rolls on, how that moves, and which forces act:
+[Scene files](scene_files.md) say how a file is written.
 """,
-        (
-            *("base", "base.motion", "loads", "contact"),
-            *("supported", "rolling", "rolling.start"),
-        ),
+        ("base", "base.motion", "loads", "contact"),
+    ),
+    "scene_parts": (
+        """# What a body carries in scene files
+
+Masses and bodies inside of the body, and bodies that roll on or in it:
+[Scene files](scene_files.md) say how a file is written.
+""",
+        ("supported", "rolling", "rolling.start"),
     ),
 }
 

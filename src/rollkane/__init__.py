@@ -10,7 +10,7 @@ import lazy_loader  # pyright: ignore[reportMissingTypeStubs]
 
 from . import moved_modules as _moved_modules
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _public, __dir__, __all__ = _typing.cast(
     tuple[

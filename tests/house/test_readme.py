@@ -13,7 +13,8 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 
-PAGES = sorted((ROOT / "docs").glob("*.md"))
+DOCS = ROOT / "docs"
+PAGES = sorted([*DOCS.glob("*.md"), *DOCS.glob("reference/*.md")])
 
 
 def blocks(language, text=README):
@@ -69,13 +70,18 @@ LONG += ("sensitivity_indices.md",)
 IN_ORDER = (
     "start.md",
 )  # its programs read what its commands wrote: test_start_page.py
-PROGRAMS = {"README.md": README} | {page.name: page.read_text() for page in PAGES}
+PROGRAMS = {str(page.relative_to(DOCS)): page.read_text() for page in PAGES}
+PROGRAMS = {"README.md": README} | PROGRAMS
+
+
+def is_long(page):
+    return page in LONG or page.startswith("reference/")
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=[pytest.mark.slow] if page in LONG else [])
+        pytest.param(page, marks=[pytest.mark.slow] if is_long(page) else [])
         for page, text in PROGRAMS.items()
         if blocks("python", text) and page not in IN_ORDER
     ],

@@ -12,6 +12,7 @@ import rollkane as rk
 from rollkane.files.scene_files import load_scene
 
 from .test_public_face import PUBLIC
+from .test_readme import PROGRAMS, blocks
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -78,6 +79,43 @@ def test_scenes_of_the_gallery_run(path):
     times = file.times[::20]
     run = rk.simulate(file.scene, file.start, times, rtol=file.rtol, modes=file.modes)
     assert run.succeeded
+
+
+# Names without an example on any page: to become fewer. Most are what functions return.
+WITHOUT_EXAMPLE = {
+    "ActiveDirections",
+    "Evaluated",
+    "ExperimentDesign",
+    "FitCovariance",
+    "LyapunovSpectrum",
+    "Measured",
+    "MonteCarlo",
+    "NormalModes",
+    "PeriodicFamily",
+    "PeriodicMotion",
+    "RareEvent",
+    "Setting",
+    "SobolIndices",
+    "StoreError",
+    "WorkPrecision",
+    "kane.ContactForces",
+    "kane.FreeBodies",
+    "kane.Linearization",
+    "kane.RollingSystem",
+    "load_study",
+    "periodic_motion",
+    "posterior",
+    "switch_branch",
+}
+
+
+def test_names_have_an_example():
+    programs = [x for page in PROGRAMS.values() for x in blocks("python", page)]
+    programs += [p.read_text() for p in (ROOT / "notebooks").glob("*.py")]
+    text = "\n".join(programs)
+    used = set(re.findall(r"\brk\.((?:kane\.)?\w+)", text))
+    used |= {f"kane.{name}" for name in re.findall(r"\bkane\.(\w+)", text)}
+    assert set(PUBLIC) - used == WITHOUT_EXAMPLE
 
 
 def site_checker():
