@@ -16,6 +16,7 @@ from .data_movement import Numbers, as_objects
 from .jaxpr_types import Params, Shaped
 from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
+from .stage_text import Signature, Statement, function_source, names_in
 
 # how XLA's operations are written: between two numbers, or as functions of rows.h;
 # the ending of their names says whether of a row
@@ -288,34 +289,29 @@ def as_functions(
     statements: Statements, stage: str, results: list[Result], ending: str = ""
 ) -> Functions:
     """The two functions; what is fixed goes from one to the other in two arrays."""
-    body = _statements(statements.stage)
-    for result in results:
-        body += result.statements()
-    words = set("".join(c if c.isalnum() else " " for c in "\n".join(body)).split())
+    body = [Statement(x.text, x.kind, text) for x, text in statements.stage]
+    left = [line for result in results for line in result.statements()]
+    words = names_in([*(x.text for x in body), *left])
     used = [symbol for symbol, _ in statements.before if symbol.text in words]
     numbers = [x for x in used if not x.row]
     rows = [x for x in used if x.row]
     handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
     handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
-    tables = [
-        f"static const real {name}[] = {{{values}}};"
+    given = {
+        name: f"static const real {name}[] = {{{values}}};"
         for values, name in statements.tables.items()
-    ]
+    }
+    tables = list(given.values())
+    for place, _, x in handed:
+        given[x.text] = Statement(x.text, x.kind, f"({x.kind}){place}").line
+    parts = [stage, FIXED, PREPARED, *(result.parameter for result in results)]
+    parameters = tuple(x.strip() for part in parts for x in part.split(","))
     lines = [
         f"static void prepare{ending}({FIXED}, real *restrict u, row *restrict v) {{",
         *tables,
-        *_statements(statements.before),
+        *(Statement(x.text, x.kind, text).line for x, text in statements.before),
         *(f"{place} = ({kind}){x.text};" for place, kind, x in handed),
         "}",
-        f"static void rates{ending}({stage}, {FIXED}, {PREPARED},",
-        f"    {', '.join(result.parameter for result in results)}) {{",
-        *tables,
-        *(f"const {x.kind} {x.text} = ({x.kind}){place};" for place, _, x in handed),
-        *body,
-        "}",
+        *function_source(Signature(f"rates{ending}", parameters), given, body, left),
     ]
     return Functions("\n".join(lines), len(numbers), len(rows))
-
-
-def _statements(listed: list[tuple[Symbol, str]]) -> list[str]:
-    return [f"const {symbol.kind} {symbol.text} = {text};" for symbol, text in listed]
