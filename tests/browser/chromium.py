@@ -112,11 +112,15 @@ class Browser:
         self, path: Path, hash: str = "", size: tuple[int, int] = (900, 700)
     ) -> None:
         """Load a page from disk, and wait for its first picture."""
+        self.visit(f"{path.resolve().as_uri()}{hash}", size)
+
+    def visit(self, address: str, size: tuple[int, int] = (900, 700)) -> None:
+        """Load a page by its address, and wait for its first picture."""
         self.requests.clear()
         self.complaints.clear()
         self.resize(size)
         self.ask("Page.navigate", url="about:blank")
-        self.ask("Page.navigate", url=f"{path.resolve().as_uri()}{hash}")
+        self.ask("Page.navigate", url=address)
         wait_until(lambda: self.run("document.readyState === 'complete'"))
         self.settle()
 
