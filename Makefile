@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py tests/unit/test_sampling.py tests/unit/test_store.py
 
-.PHONY: demo test test-all test-releases test-browser lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases test-browser lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo bench-live accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -83,6 +83,9 @@ bench-monte-carlo: $(VENV)/.bench
 	$(BIN)/python benchmarks/monte_carlo.py --out benchmarks/results
 	$(BIN)/python benchmarks/convergence.py --out benchmarks/results
 	$(BIN)/python benchmarks/faults.py --out benchmarks/results
+
+bench-live: $(VENV)/.bench
+	$(BIN)/python benchmarks/live.py --out benchmarks/results
 
 accuracy: $(VENV)/.bench
 	$(BIN)/python benchmarks/accuracy.py --out benchmarks/results

@@ -15,6 +15,7 @@ import click
 from .. import __version__
 from .fit_command import fit
 from .json_text import json_text
+from .live_command import live
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, Positive, loaded, scene_argument, start_jax
 from .setup_commands import doctor, new
@@ -42,7 +43,18 @@ def main() -> None:
     """Exact dynamics of a rigid body that rolls without slipping."""
 
 
-for _command in (simulate, sweep, new, fit, steady, family, monte_carlo, show, doctor):
+for _command in (
+    simulate,
+    sweep,
+    live,
+    new,
+    fit,
+    steady,
+    family,
+    monte_carlo,
+    show,
+    doctor,
+):
     main.add_command(_command)
 
 

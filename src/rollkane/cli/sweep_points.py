@@ -119,10 +119,11 @@ def groups_of(
 
     shared = changes_of(changes)
     found: dict[Any, Group] = {}
+    parts: dict[Any, Any] = {}
     for place, point in enumerate(itertools.product(*(one.values for one in over))):
         own = {one.path: repr(x) for one, x in zip(over, point, strict=True)}
         try:
-            file = load_scene(scene, shared | own)
+            file = load_scene(scene, shared | own, parts)
         except SceneFileError as error:
             return Point(own, error)
         group = found.setdefault(_structure(file), Group([], []))

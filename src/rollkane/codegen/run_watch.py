@@ -1,6 +1,6 @@
 """Memory through which a thread looks at compiled loops that another one waits for.
 
-The loops read it at every step: who sets ``ends`` gets what they have reached so far,
+The loops read it every few steps: who sets ``ends`` gets what they have reached so far,
 as if it were their largest number of steps; while ``looks`` is set, a single run writes
 the time that it has come to.
 """

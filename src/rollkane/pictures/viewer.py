@@ -81,20 +81,41 @@ def view_page(
     Raises:
         FieldError: a batch, or a run of which no state is finite; too many ghosts.
     """
-    data = json.dumps(view_data(trajectory, title, ghosts), allow_nan=False)
+    return page_of(view_data(trajectory, title, ghosts), title)
+
+
+def page_of(
+    data: dict[str, Any], title: str, scripts: Sequence[str] = (), connects: str = ""
+) -> str:
+    """The text of a page that shows what it is given.
+
+    Args:
+        data: As of :func:`view_data`.
+        title: Heading of the page; plain text.
+        scripts: Further programs, behind the others.
+        connects: Where the page may ask, as its policy says it; nowhere.
+    """
     parts = {
         "title": html.escape(title or "rollkane"),
         "style": _asset("viewer.css"),
         "license": _asset("LICENSE.three").replace("--", "- -"),
+        "connects": f"; connect-src {connects}" if connects else "",
         # a browser ends a script at the first "</script", wherever it stands
-        "data": data.replace("<", "\\u003c").replace("&", "\\u0026"),
-        "scripts": "\n".join(f"<script>\n{_asset(s)}\n</script>" for s in _SCRIPTS),
+        "data": json.dumps(data, allow_nan=False)
+        .replace("<", "\\u003c")
+        .replace("&", "\\u0026"),
+        "scripts": "\n".join(
+            f"<script>\n{_asset(s)}\n</script>" for s in (*_SCRIPTS, *scripts)
+        ),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda m: parts[m[1]], _asset("template.html"))
 
 
 def view_data(
-    trajectory: Trajectory, title: str = "", ghosts: Sequence[Trajectory] = ()
+    trajectory: Trajectory,
+    title: str = "",
+    ghosts: Sequence[Trajectory] = (),
+    shapes: bool = True,
 ) -> dict[str, Any]:
     """What the page's programs are given, ready for JSON.
 
@@ -102,6 +123,8 @@ def view_data(
         trajectory: One run, not a batch.
         title: Heading of the page.
         ghosts: Other runs of the same body.
+        shapes: Whether with ``size``, ``body``, ``base`` and ``rolling``, which do not
+            change where surfaces stay the same.
 
     Returns:
         ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
@@ -135,19 +158,15 @@ def view_data(
         )
     motion = motion.rows(reached)
     scene = trajectory.scene
-    size = body_size(scene.body, motion.contact_on_body)
-    body = _body_mesh(trajectory, motion, size)
-    if body.points.size:
-        size = float(np.max(np.linalg.norm(body.points, axis=1)))
     forces = np.linalg.norm(motion.contact_force, axis=1)
     note = ""
     if not bool(trajectory.succeeded):
         reason = trajectory.reason.split(":")[0]
         note = f"stopped at {float(trajectory.final_time):.6g} s: {reason}"
-    return {
+    known = _shapes(trajectory, motion) if shapes else {}
+    return known | {
         "title": title,
         "note": note,
-        "size": size,
         "force": float(np.nanmedian(forces)) if np.isfinite(forces).any() else 1.0,
         "carried": motion.masses.tolist(),
         "energy_label": [f"{motion.kept} error", ""]
@@ -157,6 +176,18 @@ def view_data(
         "gravity": _gravity(scene),
         "events": _events(trajectory),
         "ghosts": [_ghost_frames(ghost) for ghost in ghosts],
+    }
+
+
+def _shapes(trajectory: Trajectory, motion: MotionSamples) -> dict[str, Any]:
+    """How large the body is, and meshes."""
+    scene = trajectory.scene
+    size = body_size(scene.body, motion.contact_on_body)
+    body = _body_mesh(trajectory, motion, size)
+    if body.points.size:
+        size = float(np.max(np.linalg.norm(body.points, axis=1)))
+    return {
+        "size": size,
         "body": _mesh_data(body),
         "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion)],
         "base": _base_data(trajectory, motion, size),

@@ -58,7 +58,9 @@ class SceneFile:
 
 
 def load_scene(
-    source: str | PathLike[str], changes: Mapping[str, str] | None = None
+    source: str | PathLike[str],
+    changes: Mapping[str, str] | None = None,
+    parts: dict[Any, Any] | None = None,
 ) -> SceneFile:
     """Read a scene.
 
@@ -69,6 +71,9 @@ def load_scene(
             TOML file (see :func:`scene_schema`).
         changes: Values in the place of the file's, by path, as TOML writes them:
             ``{"body.mass": "2.0"}``.
+        parts: Of the scenes that were read from the same file before: bases and
+            supported masses whose tables are the same are taken again, and others are
+            put here. An empty dictionary to begin with.
 
     Returns:
         The scene, ready for ``rollkane.simulate``.
@@ -86,7 +91,7 @@ def load_scene(
     from .event_building import events_of
     from .scene_building import build
 
-    made, events = build(report), events_of(report)
+    made, events = build(report, parts), events_of(report)
     report.raise_if_any()
     assert made is not None  # whatever could not be made has been noted
     scene, start, modes = made

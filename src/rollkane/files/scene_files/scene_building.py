@@ -6,6 +6,7 @@ again, so that all bad fields of all parts are known at once.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -31,30 +32,48 @@ from .tables import StartTable
 _UNTURNED = (1.0, 0.0, 0.0, 0.0)
 
 
-def build(report: Report) -> tuple[Scene, State, Modes | None] | None:
+def build(
+    report: Report, parts: dict[Any, Any] | None = None
+) -> tuple[Scene, State, Modes | None] | None:
     """Make what a file describes, and note what the library refuses.
 
     Args:
         report: Knows the file, its checked tables and what is wrong with it.
+        parts: Bases and supported masses of earlier readings of the same file.
 
     Returns:
         The scene, its start and its modes, or None where something was wrong.
     """
     body = body_of(("body",), report)
-    base = _base(report)
+    kept = {} if parts is None else parts
+    base = _taken_again("base", lambda: _base(report), report, kept)
     loads, law = loads_of(report), contact_of(report)
     modes = modes_of(report)
-    supported, rolling = supported_of(report), rolling_of(report)
+    supported = _taken_again("supported", lambda: supported_of(report), report, kept)
+    rolling = rolling_of(report)
     _check_tolerance(report)
     scene, states = None, ()
     found = base is not None and loads is not None and law is not None
     if body is not None and supported is not None and found and rolling is not None:
-        parts, states = rolling
-        scene = Scene(body, base, (*supported, *parts), loads, law)
+        rolled, states = rolling
+        scene = Scene(body, base, (*supported, *rolled), loads, law)
     start = _start(scene, states, report)
     if scene is None or start is None:
         return None
     return scene, start, modes
+
+
+def _taken_again(
+    name: str, made: Callable[[], Any], report: Report, kept: dict[Any, Any]
+) -> Any:
+    """A part by its table, or the one that was made of the same table before."""
+    key = name, repr(report.document.get(name)), str(jnp.result_type(float))
+    if key not in kept:
+        part = made()
+        if part is None or report.has_below((name,)):
+            return part
+        kept[key] = part
+    return kept[key]
 
 
 def _base(report: Report) -> Base | None:

@@ -30,6 +30,13 @@ rollkane.Trace = class {
     this.group.add(this.line, this.head);
   }
 
+  dispose() {
+    for (const { geometry, material } of [this.line, this.head]) {
+      geometry.dispose();
+      material.dispose();
+    }
+  }
+
   show(frame, point) {
     this.line.geometry.instanceCount = frame;
     this.line.visible = frame > 0;

@@ -215,6 +215,24 @@ rollkane.Stage = class {
     this.scene.add(this.arrows.group, this.ghosts.group);
   }
 
+  // Another motion of the same bodies.
+  replaceMotion(motion, data) {
+    const { colors } = rollkane;
+    this.motion = motion;
+    this.base.remove(this.onBase.group);
+    this.body.remove(this.onBody.group);
+    const visible = this.onBase.group.visible;
+    for (const trace of [this.onBase, this.onBody]) trace.dispose();
+    this.onBase = new rollkane.Trace(
+      this.path("contact_on_base", motion.baseNormals), colors.baseTrace);
+    this.onBody = new rollkane.Trace(
+      this.path("contact_on_body", "body_outward"), colors.bodyTrace);
+    this.onBase.group.visible = this.onBody.group.visible = visible;
+    this.base.add(this.onBase.group);
+    this.body.add(this.onBody.group);
+    this.arrows.gravity = data.gravity;
+  }
+
   lights(eye) {
     this.scene.add(new THREE.HemisphereLight("#ffffff", "#cdd4de", 1.9));
     this.sun = new THREE.DirectionalLight("#ffffff", 1.7);

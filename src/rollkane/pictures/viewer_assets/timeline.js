@@ -25,20 +25,29 @@ rollkane.INKS = ["#1b4f91", "#c4541a", "#2f7d32", "#6a1f8a"];
 rollkane.DASHES = [[], [6, 3], [2, 2], [8, 3, 2, 3]]; // told apart in grey, too
 rollkane.MODES = [["rolls", "#dfe9f5"], ["slips", "#f6e2cc"], ["flies", "#e9def3"]];
 
+rollkane.happenings = ({ events }) =>
+  events.flatMap(({ name, times }) => times.map((time) => ({ name, time })));
+
 rollkane.Timeline = class {
   constructor(player, data, canvas, select) {
     this.player = player;
     this.motion = player.motion;
     this.canvas = canvas;
     this.select = select;
-    this.happenings = data.events.flatMap(({ name, times }) =>
-      times.map((time) => ({ name, time })));
+    this.happenings = rollkane.happenings(data);
     this.tall = true;
     for (const [key, [name, unit]] of this.known(data)) {
       select.add(new Option(unit ? `${name} [${unit}]` : name, key));
     }
     this.energy = data.energy_label;
     this.listen();
+  }
+
+  // Another motion, with the same quantities.
+  replace(motion, data) {
+    this.motion = motion;
+    this.happenings = rollkane.happenings(data);
+    this.prepare();
   }
 
   known(data) {

@@ -1,4 +1,4 @@
-// Panel, slider, clock and camera. Runs last.
+// Panel, slider, clock and camera. Runs when all other parts are there.
 "use strict";
 
 // Finds an element of the page by its name.
@@ -6,6 +6,7 @@ rollkane.element = (id) => document.getElementById(id);
 
 rollkane.Player = class {
   constructor(data, renderer) {
+    this.data = data;
     this.size = data.size;
     this.title = data.title || "motion";
     this.motion = new rollkane.Motion(data.frames);
@@ -50,8 +51,9 @@ rollkane.Player = class {
 
   advance(now) {
     if (!this.playing) return;
-    const passed = Math.min((now - this.last) / 1000, 0.2);
-    this.last = now;
+    // a picture that was begun before the clock was set going counts nothing
+    const passed = Math.min(Math.max((now - this.last) / 1000, 0), 0.2);
+    this.last = Math.max(now, this.last);
     this.elapsed += passed * Number(rollkane.element("speed").value);
     if (this.elapsed < this.motion.duration) this.show();
     else this.jump(this.motion.duration);
@@ -89,6 +91,24 @@ rollkane.Player = class {
 
   jumpToFrame(frame) {
     this.jump(this.motion.elapsed(Math.min(Math.max(frame, 0), this.motion.count - 1)));
+  }
+
+  // Show another motion: of the same bodies, or, where meshes come with it, of others.
+  replace(data) {
+    this.data = { ...this.data, ...data };
+    this.motion = new rollkane.Motion(data.frames);
+    this.size = this.data.size;
+    if ("body" in data) {
+      this.stage = new rollkane.Stage(this.data, this.motion, this.box);
+    } else {
+      this.stage.replaceMotion(this.motion, data);
+    }
+    rollkane.element("note").textContent = data.note;
+    rollkane.element("slider").max = this.motion.duration;
+    this.elapsed = Math.min(this.elapsed, this.motion.duration);
+    this.timeline.replace(this.motion, data);
+    this.switched();
+    this.show();
   }
 
   // Look at all of the motion, or, while following, at the body.

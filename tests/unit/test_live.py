@@ -1,0 +1,198 @@
+"""The live view: which numbers are dragged, what comes of others, who is answered."""
+
+import http.client
+import json
+import threading
+
+import jax
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane.cli.live_command import LiveServer
+from rollkane.files.scene_files import SceneFileError, builtin_scenes
+from rollkane.pictures.live_run import LEAST_RTOL, LiveRun
+from tests.unit.test_cli import BALL, rollkane_with
+from tests.unit.test_viewer import Page, unpacked
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    path = tmp_path_factory.mktemp("live") / "ball.toml"
+    path.write_text(BALL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def live(ball):
+    return LiveRun(ball)
+
+
+@pytest.fixture(scope="module")
+def server(live):
+    found = LiveServer(live)
+    thread = threading.Thread(target=found.serve_forever)
+    thread.start()
+    yield found
+    found.shutdown()
+    thread.join()
+    found.server_close()
+
+
+def ask(server, method, path, body=None, host=None):
+    line = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
+    headers = {"Host": host or server.host}
+    line.request(method, path, body, headers)
+    answer = line.getresponse()
+    found = answer.status, answer.read()
+    line.close()
+    return found
+
+
+def test_numbers_of_a_file_are_dragged_about_their_values(live):
+    found = {one.path: one for one in live.numbers}
+    assert {"body.mass", "body.surface.radius", "base.surface.radius"} <= set(found)
+    assert found["body.mass"][1:] == (1.0, 1.0 / 3.0, 3.0)
+    spin = found["start.angular_velocity[1]"]
+    reach = 2 * np.hypot(5.0, 2.0)
+    assert spin[1:] == pytest.approx((5.0, -reach, reach))
+    assert not any("inertia" in path or "outputs" in path for path in found)
+
+
+@pytest.mark.parametrize("name", builtin_scenes())
+def test_every_built_in_scene_has_numbers_that_it_can_have(name):
+    """Each number is one that the scene can be read with."""
+    live = LiveRun(name)
+    assert "body.mass" in {one.path for one in live.numbers}
+    for one in live.numbers:
+        assert one.low <= one.value <= one.high, one
+        changed = {one.path: repr(one.value)}
+        assert rk.Scene is type(read(name, changed, live).scene)
+
+
+def read(name, changes, live):
+    from rollkane.files.scene_files import load_scene
+
+    return load_scene(name, changes, live._parts)
+
+
+def test_a_run_is_that_of_the_file_with_other_numbers(ball, live):
+    values = {"body.mass": 1.7, "start.angular_velocity[2]": -3.0}
+    run = live.run(values)
+    file = read(ball, {path: repr(x) for path, x in values.items()}, live)
+    alone = rk.simulate(file.scene, file.start, run.time, rtol=1e-10)
+    # by steps of an error of LEAST_RTOL each, of which there are under a hundred
+    atol = 100 * LEAST_RTOL
+    np.testing.assert_allclose(run.position, alone.position, rtol=0, atol=atol)
+    assert run.method == "native"
+
+
+def test_another_number_compiles_nothing(live):
+    live.data({"body.mass": 1.0}, shapes=False)
+    compiled = []
+    with jax.log_compiles():
+        import logging
+
+        class Counter(logging.Handler):
+            def emit(self, record):
+                compiled.append(record.getMessage())
+
+        counter = Counter()
+        logging.getLogger("jax").addHandler(counter)
+        try:
+            live.data({"body.mass": 1.23}, shapes=False)
+        finally:
+            logging.getLogger("jax").removeHandler(counter)
+    assert not [text for text in compiled if text.startswith("Compiling")]
+
+
+def test_parts_whose_tables_are_the_same_are_taken_again():
+    live = LiveRun("shaken-plate")
+    base = live.run({}).scene.base
+    other = live.run({"body.mass": live.numbers[0].value * 1.1}).scene
+    assert other.base is base
+    radius = next(one for one in live.numbers if "surface" in one.path)
+    assert live.changes_shapes({radius.path: 1.1 * radius.value})
+    assert not live.changes_shapes({"body.mass": 3.0})
+
+
+def test_ranges_are_chosen_and_checked(ball):
+    live = LiveRun(ball, {"body.mass": (1.0, 2.0)})
+    assert [one[:] for one in live.numbers] == [("body.mass", 1.0, 1.0, 2.0)]
+    with pytest.raises(rk.FieldError, match="is no number of the file"):
+        LiveRun(ball, {"body.colour": (0.0, 1.0)})
+    with pytest.raises(rk.FieldError, match="is no range"):
+        LiveRun(ball, {"body.mass": (2.0, 1.0)})
+    with pytest.raises(rk.FieldError, match="is no number that is dragged"):
+        live.run({"body.surface.radius": 0.2})
+
+
+def test_the_page_may_ask_its_server_and_nobody_else(server, live):
+    status, text = ask(server, "GET", f"/{server.key}/")
+    assert status == 200
+    page = Page(text.decode())
+    (policy,) = [
+        x for _, name, x in page.attributes if name == "content" and "src" in x
+    ]
+    assert policy.endswith("img-src data: blob:; connect-src 'self'")
+    assert [one["path"] for one in page.data["numbers"]] == [
+        one.path for one in live.numbers
+    ]
+
+
+def test_a_question_is_answered_by_the_motion(server, live):
+    question = json.dumps({"body.mass": 2.0})
+    status, text = ask(server, "POST", f"/{server.key}/run", question)
+    assert status == 200
+    data = json.loads(text)
+    assert "body" not in data  # the surfaces are the same
+    position = unpacked(data["frames"]["position"])
+    expected = np.asarray(live.run({"body.mass": 2.0}).position)
+    np.testing.assert_allclose(position, expected, rtol=1e-6, atol=1e-7)  # float32
+    radius = json.dumps({"body.surface.radius": 0.2})
+    data = json.loads(ask(server, "POST", f"/{server.key}/run", radius)[1])
+    assert data["size"] == pytest.approx(0.2, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("question", "says"),
+    [
+        ('{"body.mass": -1}', "body.mass"),
+        ('{"body.colour": 1}', "is no number that is dragged"),
+        ("[1]", ""),
+        ("nonsense", "Expecting value"),
+    ],
+)
+def test_what_cannot_be_run_is_told(server, question, says):
+    status, text = ask(server, "POST", f"/{server.key}/run", question)
+    assert status == 200
+    assert says in json.loads(text)["refused"]
+
+
+def test_strangers_are_not_answered(server):
+    """Other addresses, another name of this machine (of other pages), and floods."""
+    assert ask(server, "GET", "/")[0] == 404
+    assert ask(server, "POST", "/guess/run", "{}")[0] == 404
+    assert ask(server, "GET", f"/{server.key}/", host="evil.example")[0] == 404
+    assert ask(server, "POST", f"/{server.key}/run", "x" * 100_001)[0] == 413
+    assert server.server_address[0] == "127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["no-such-scene"], "no such file or built-in scene"),
+        (["rattleback", "--vary", "body.mass"], "is not PATH=LOW:HIGH"),
+        (["rattleback", "--vary", "body.mass=a:b"], "the ends are not numbers"),
+        (["rattleback", "--vary", "body.mass=2:1"], "is no range"),
+    ],
+)
+def test_the_command_refuses(options, says):
+    done = rollkane_with("live", *options)
+    assert done.exit_code == 2
+    assert says in done.output
+
+
+def test_numbers_that_no_scene_can_have_are_refused(live):
+    with pytest.raises(SceneFileError, match=r"body\.mass"):
+        live.run({"body.mass": -1.0})
