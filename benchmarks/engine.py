@@ -27,7 +27,7 @@ from single import at_error, draw, end_numbers, scene_of
 TOLERANCES = tuple(10.0**-k for k in (6, 7, 8, 9, 10, 11))
 TARGET = 1e-8
 MOTIONS, GRADIENTS, HORIZON = 10_000, 256, 1.0
-MASSES = (1, 4, 8, 16, 32)
+MASSES = (1, 4, 8, 16, 32, 64)
 SCENES = ("rolling-disc", "rattleback", "isolator", "shell-with-pendulum")
 
 
