@@ -719,6 +719,12 @@ def test_builtin_scenes_are_the_promised_ones():
         "isolator",
         "shell-with-pendulum",
         "ellipsoid-on-six-axis-table",
+        "ball-in-rolling-shell",
+        "ball-on-ball-on-turntable",
+        "disc-in-hoop",
+        "egg-in-rocking-cavity",
+        "ellipsoid-in-rocking-bowl",
+        "shells-in-shells",
     }
     # Kane and Levinson: 5 rad/s about the body's third axis, which points down
     stone = load_scene("rattleback").start
