@@ -63,13 +63,12 @@ for degrees in (30.0, 10.0, 3.0, 1.0):
 # ## With losses
 #
 # Let a moment $f N$ work against rolling, $N$ the normal force. The energy of a nearly
-# flat disc is $ frac32 m g R lpha$, the power that is lost is $f N \Omega \sinlpha$,
-# so that $\sqrtlpha$ falls in proportion to the time and is gone after
+# flat disc is $\tfrac32 m g R \alpha$, the power that is lost is
+# $f N \Omega \sin\alpha$, so that $\sqrt\alpha$ falls in proportion to the time and is
+# gone after
 #
 # $$
-# T =
-# rac{3 R}{2 f} \sqrt{
-# rac{R lpha_0}{g}}
+# T = \frac{3 R}{2 f} \sqrt{\frac{R \alpha_0}{g}}
 # $$
 #
 # In between its rate grows without bound: a ring that rises, and stops at once.

@@ -40,8 +40,8 @@ robot = rk.Scene(body, supported=rk.PointMasses(BOB, bob, force=motor))
 # %% [markdown]
 # ## A start from rest
 #
-# The motor's torque holds the pendulum forward; the shell rolls under it, until the
-# brake has taken all.
+# The motor's torque holds the pendulum forward; the shell rolls under it, and the brake
+# slows both.
 
 # %%
 start = rk.place(
@@ -84,10 +84,6 @@ print("least normal force", float(run.normal_force.min()), "N")
 
 
 # %%
-class Motor(rk.PointMasses):
-    """A pendulum whose motor's torque is a number of its own."""
-
-
 def push(t, state, torque):
     """No torque on the shell, one on the pendulum [N m]."""
     return torque * jnp.array([0.0, 0.0, 0.0, 1.0])

@@ -24,6 +24,8 @@ TRANSLATE = LatexToMathML(fancy_error=False)
 
 def mathml(tex: str, node: Any, *, displayed: bool) -> str:
     """MathML of TeX; its text, with a warning, where it is not understood."""
+    if re.search(r"[\x00-\x09\x0b-\x1f]", tex):  # an escape that Python took for one
+        LOGGER.warning("a control character in an equation: %r", tex, location=node)
     try:
         return TRANSLATE.convert_with_local_state(tex, displaystyle=displayed)
     except LatexError as error:
