@@ -276,3 +276,90 @@ def bicycle_height_energy(q):
     )
     masses = jnp.array([b.rear_mass, b.frame_mass, b.fork_mass, b.front_mass])
     return -b.gravity * jnp.sum(masses * down)
+
+
+def _axle(t, q, u, p):
+    """A carriage: q = axle [m], yaw, bank, pitch of the body, turns of two wheels."""
+    heading = about_axis(2, q[3])
+    banked = heading @ about_axis(0, q[4])
+    spin = u[3] * jnp.array([0.0, 0.0, 1.0]) + u[4] * heading[:, 0]
+    turns = {
+        name: (banked @ about_axis(1, q[k]), spin + u[k] * banked[:, 1])
+        for name, k in (("body", 5), ("left", 6), ("right", 7))
+    }
+    return {"axle": banked[:, 1], "spin": spin, "turns": turns}
+
+
+def carriage(ground, q, u, *, wheel=0.3, track=0.8, drop=0.1):
+    """A body that hangs below an axle with two wheels, on any ground; z is up."""
+    parts, frames, loads = [], [], []
+    disc = 0.5 * 2.0 * wheel**2
+    for name, mass, inertia, arm in (
+        ("body", 10.0, np.diag([0.5, 0.4, 0.6]), (0.0, 0.0, -drop)),
+        ("left", 2.0, np.diag([0.5 * disc, disc, 0.5 * disc]), (0.0, 0.5 * track, 0.0)),
+        ("right", 2.0, np.diag([0.5 * disc, disc, 0.5 * disc]), (0, -0.5 * track, 0)),
+    ):
+
+        def velocity(t, q, u, p, name=name, arm=arm):
+            turn, spin = p["turns"][name]
+            return u[:3] + cross(spin, turn @ jnp.array(arm, float))
+
+        def own(t, q, u, p, name=name):
+            turn, spin = p["turns"][name]
+            return turn.T @ spin
+
+        parts.append(kane.RigidBody(mass, inertia, velocity, own))
+        loads.append(
+            kane.Load(velocity, lambda t, q, u, p, m=mass: _vector(0.0, -m * G))
+        )
+        if name != "body":
+            at = lambda t, q, u, p, arm=arm: q[:3] + arm[1] * p["axle"]
+            turn = lambda t, q, u, p, name=name: p["turns"][name][0] @ TO_Y
+            frames.append(kane.Frame(at, turn))
+    system = kane.KaneSystem(8, 8, lambda t, q, u, p: u, parts, loads, shared=_axle)
+    contacts = [
+        kane.RollingContact(frame, rk.DiscEdge(wheel), kane.ground, ground, name=name)
+        for frame, name in zip(frames, ("left", "right"), strict=True)
+    ]
+    return kane.rolling_contacts(system, contacts, q, u)
+
+
+def carriage_height_energy(q, drop=0.1):
+    """Potential energy of a carriage [J]."""
+    turn, _ = _axle(0.0, q, jnp.zeros(8), None)["turns"]["body"]
+    return G * (14.0 * q[2] - 10.0 * drop * turn[2, 2])
+
+
+def ball_bearing(inner, ball, rate, count=4):
+    """A ring that turns on balls in a fixed race, all free; axis z."""
+    out = inner + 2 * ball
+    mass, heavy = 0.1, 2.0
+    solid = 0.4 * mass * ball**2 * np.eye(3)
+    ring = heavy * inner**2 * np.diag([0.5, 0.5, 1.0])
+    masses = [heavy] + [mass] * count
+    bodies = kane.free_bodies(masses, [ring] + [solid] * count, gravity=(0.0, 0.0, 0.0))
+    race, *balls = bodies.frames
+    contacts = []
+    for k, frame in enumerate(balls):
+        contacts += [
+            kane.RollingContact(
+                frame, rk.Sphere(ball), race, rk.Cylinder(inner), name=f"ring {k}"
+            ),
+            kane.RollingContact(
+                frame,
+                rk.Sphere(ball),
+                kane.ground,
+                rk.Cylinder(out, inside=True),
+                name=f"race {k}",
+            ),
+        ]
+    turns = 2 * np.pi * np.arange(count) / count
+    middle = inner + ball
+    q = [0, 0, 0, 1, 0, 0, 0]
+    u = [0, 0, 0, 0, 0, rate]
+    orbit = 0.5 * rate * inner / middle
+    for a in turns:
+        q += [middle * np.cos(a), middle * np.sin(a), 0, 1, 0, 0, 0]
+        along = orbit * middle * np.array([-np.sin(a), np.cos(a), 0])
+        u += [*along, 0, 0, -orbit * middle / ball]
+    return kane.rolling_contacts(bodies.system, contacts, q, u)

@@ -14,10 +14,13 @@ from ..rolling_contact_models import (
     FLIPPED,
     G,
     at_rest,
+    ball_bearing,
     ball_in_tube,
     between_plates,
     bicycle,
     bicycle_height_energy,
+    carriage,
+    carriage_height_energy,
     cylinder_in_pipe,
     cylinder_in_tube,
     plate,
@@ -288,6 +291,50 @@ def test_bicycle_on_hills_keeps_its_energy():
     assert np.ptp(np.asarray(high)) > 10.0
     assert np.abs(np.asarray(run.q[:, 4])).max() > 0.01
     assert np.ptp(np.asarray(energy)) < 1e-10 * float(energy[0])
+
+
+@pytest.mark.slow
+def test_carriage_on_curved_ground_keeps_its_energy():
+    """Two wheels on one axle: on a plane one of their constraints is redundant."""
+    q, u = [0.3, 0.2, 0.35, 0.4, 0.1, 0.2, 0, 0], [1.0, 0.3, 0, 0.1, 0, 0, 3, 3]
+    bumps = lambda x, y: 0.1 * jnp.sin(x) * jnp.cos(0.7 * y) + 0.05 * x * y
+    rolling = carriage(rk.Graph(bumps), q, u)
+    assert not rolling.redundant
+    times = np.linspace(0.0, 3.0, 31)
+    run = kane.simulate(rolling.system, rolling.start, times, rtol=1e-12)
+    kept(rolling, run)
+    high = np.asarray(jax.vmap(carriage_height_energy)(run.q))
+    assert np.ptp(high) > 1.0
+    # some thousand steps of 1e-12, of an energy of some 50 J
+    energy = np.asarray(run.kinetic_energy) + high
+    assert np.ptp(energy) < 1e-9 * np.abs(energy).max()
+
+
+@pytest.mark.slow
+def test_carriage_on_a_plane_has_a_redundant_constraint():
+    level = [0, 0, 0.3, 0.4, 0, 0.2, 0, 0]
+    rolling = carriage(rk.Plane(), level, [1.0, 0.3, 0, 0.1, 0, 0, 3, 3])
+    assert len(rolling.redundant) == 1
+    assert "velocity along" in rolling.redundant[0]
+
+
+@pytest.mark.slow
+def test_four_balls_of_a_bearing():
+    """A free ring on four balls: they go round with half of its speed at the inside."""
+    inner, ball, rate = 0.05, 0.01, 20.0
+    rolling = ball_bearing(inner, ball, rate)
+    # a ring on three balls is where it is; each further one repeats what is known
+    assert len(rolling.redundant) == 2
+    times = np.linspace(0.0, 1.0, 11)
+    run = kane.simulate(rolling.system, rolling.start, times, rtol=1e-11)
+    kept(rolling, run)
+    for k in range(4):
+        x, y = np.asarray(run.q[:, 7 * (k + 1)]), np.asarray(run.q[:, 7 * (k + 1) + 1])
+        gone = np.unwrap(np.arctan2(y, x))
+        orbit = 0.5 * rate * inner / (inner + ball)
+        # some hundred steps of 1e-11
+        np.testing.assert_allclose(gone - gone[0], orbit * times, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.u[:, 5], rate, rtol=1e-9)
 
 
 @pytest.mark.slow
