@@ -34,6 +34,7 @@ def kept(rolling, run, bound=1e-12):
     assert float(jnp.max(rolling.slips(run.time, run.state))) < bound
 
 
+@pytest.mark.slow
 def test_ball_between_plates():
     """Half the speed of a plate; round both plates' axes, the mean of their rates.
 
@@ -76,6 +77,7 @@ def test_ball_between_plates():
     np.testing.assert_allclose(run.q[:, 1], y, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_cylinder_in_a_pipe_is_a_pendulum():
     """Of length 3 (R - r) / 2, at any amplitude; two rims, one velocity too many.
 

@@ -145,7 +145,7 @@ def stack_by_contacts():
 WAYS = {"nest": stack_by_nest, "contacts": stack_by_contacts}
 
 
-@pytest.mark.parametrize("way", slow_but(["nest"], WAYS))
+@pytest.mark.parametrize("way", slow_but([], WAYS))
 def test_three_balls_on_one_another(way):
     """Energy, three linear integrals, and both equations of each ball.
 

@@ -130,6 +130,7 @@ def test_the_likelihood_has_the_gradient_of_differences():
     assert abs(2.0 * own - n) < 5.0 * np.sqrt(2.0 * n)
 
 
+@pytest.mark.slow
 def test_the_experiment_that_tells_most():
     """A longer lever tells more: scores are minus the logarithms of errors."""
     free = (rk.Free("body.inertia", form="diagonal"),)

@@ -313,6 +313,7 @@ def test_linear_models_of_a_ball():
         rk.linearize(ball, still, ("forse x",))
 
 
+@pytest.mark.slow
 def test_forces_on_what_is_carried_are_inputs():
     """A motor on each coordinate, against differences of runs' rates with that force.
 

@@ -174,7 +174,9 @@ def test_without_c(why, monkeypatch):
     np.testing.assert_allclose(shown, jnp.concatenate(EXACT, axis=-1), **ROUNDING)
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize(
+    "dtype", [np.float64, pytest.param(np.float32, marks=pytest.mark.slow)]
+)
 def test_every_operation_has_its_derivatives(dtype):
     """In C what they are in XLA, in rows of one and of eight, and backwards."""
     random = np.random.default_rng(5)

@@ -84,6 +84,7 @@ def test_a_ball_in_a_shell_in_a_shell(tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_a_summary_tells_of_each_body(tmp_path):
     first, shell, *_ = SHELLS.split("[[rolling]]")
     alone = f"{first}[[rolling]]{shell}[start]{SHELLS.partition('[start]')[2]}"

@@ -41,6 +41,7 @@ def in_a_process(code, *arguments):
     return subprocess.run(done, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_what_was_reached(tmp_path):
     (tmp_path / "ball.toml").write_text(BALL)
     out = tmp_path / "part.csv"

@@ -238,6 +238,7 @@ def test_single_precision():
     compare(lambda x: (jnp.cumsum(x), loop(x), loop(x[:3])), x, rtol=4e-6)
 
 
+@pytest.mark.slow
 def test_long_branches_are_functions_of_their_own():
     def long(x):
         for k in range(120):
