@@ -4,6 +4,9 @@ from collections.abc import Iterable
 
 import pytest
 
+# built-in scenes that have every kind of part between them
+A_FEW = ("rattleback", "isolator", "ellipsoid-on-six-axis-table", "shells-in-shells")
+
 
 def slow_but(quick: Iterable[str], names: Iterable[str]) -> list:
     """Parameters of a test, of which all but a few are marked as slow.

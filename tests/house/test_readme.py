@@ -66,7 +66,7 @@ def run_program(text, folder):
 # Pages whose programs compile for a minute; what they call has tests of its own.
 LONG = ("events.md", "fit.md", "monte_carlo.md", "periodic.md", "steady.md")
 LONG += ("control.md", "distributions.md", "rolling_contacts.md")
-LONG += ("sensitivity_indices.md",)
+LONG += ("sensitivity_indices.md", "rolling-on-rolling.md")
 IN_ORDER = (
     "start.md",
 )  # its programs read what its commands wrote: test_start_page.py

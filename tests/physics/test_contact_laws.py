@@ -16,6 +16,8 @@ from rollkane.kane import rolling_scene
 from rollkane.kinematics.coordinates import shared_parts
 from tests.random_scenes import stacked
 
+from ..quick import slow_but
+
 SEEDS = 12
 # as in test_twins: 10^3 roundings of terms up to ten times larger
 AGREE = 1e-10
@@ -28,6 +30,8 @@ LAWS = {
     "Coulomb": rk.Slipping(COULOMB),
     "Stribeck, dry resistance": rk.Slipping(rk.StribeckFriction(0.4, 0.2, 0.5, 0.1)),
 }
+# the others are parts of these
+QUICK = "rubber", "rolling, dry resistance", "Coulomb", "Stribeck, dry resistance"
 RESISTING = (
     rk.RollingResistance(viscous=0.1, dry=0.02, regularization=0.5),
     rk.SpinningResistance(viscous=0.2, dry=0.01, regularization=0.5),
@@ -141,7 +145,7 @@ def twin(scene, t, state, force, moment):
     return rates.u[:-2], jax.jvp(slip_of, (t, own.q, along), moved)[1]
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", slow_but(QUICK, LAWS))
 @pytest.mark.parametrize(
     "case",
     [

@@ -301,7 +301,7 @@ def complaints(name: str, numbers) -> dict[int, str]:
 
 
 # hills and bowls are searched densely, and three programs compiled: a minute
-LONG = "thrown balls", "dips of the normal force"
+LONG = "thrown balls", "dips of the normal force", "turning slides"
 QUICK = [
     pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
     for name in FAMILIES

@@ -106,6 +106,7 @@ def test_sensitivities_refuse(change, field):
     assert caught.value.field == field
 
 
+@pytest.mark.slow
 def test_the_likelihood_has_the_gradient_of_differences():
     values = np.asarray(rk.simulate(SCENE, START, TIMES, rtol=1e-12).each(spin))
     values = values + SIGMA * np.random.default_rng(0).standard_normal(values.shape)

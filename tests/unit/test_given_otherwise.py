@@ -13,6 +13,8 @@ import rollkane as rk
 from rollkane.files.scene_files import builtin_scenes, load_scene
 from rollkane.geometry.numpy_rotations import rotated
 
+from ..quick import A_FEW, slow_but
+
 RHO = 1200.0
 # Sums of 16,384 products round by 1e-14 at most; Gauss-Legendre with 64 points in each
 # half is exact to rounding for these charts.
@@ -171,7 +173,7 @@ def test_they_are_differentiable():
 # -- scenes and results as values ------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", builtin_scenes())
+@pytest.mark.parametrize("name", slow_but(A_FEW, builtin_scenes()))
 def test_scenes_and_starts_are_values(name):
     one, two = load_scene(name), load_scene(name)
     for a, b in ((one.scene, two.scene), (one.start, two.start)):
@@ -194,7 +196,7 @@ def test_results_are_values():
     assert rk.simulate(file.scene, file.start, [0.0, 0.1, 0.3]) != run
 
 
-@pytest.mark.parametrize("name", builtin_scenes())
+@pytest.mark.parametrize("name", slow_but(A_FEW, builtin_scenes()))
 def test_a_scene_describes_itself(name):
     file = load_scene(name)
     text = file.scene.describe()

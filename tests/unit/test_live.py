@@ -15,6 +15,8 @@ from rollkane.pictures.live_run import LEAST_RTOL, LiveRun
 from tests.unit.test_cli import BALL, rollkane_with
 from tests.unit.test_viewer import Page, unpacked
 
+from ..quick import A_FEW, slow_but
+
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
@@ -59,7 +61,7 @@ def test_numbers_of_a_file_are_dragged_about_their_values(live):
     assert not any("inertia" in path or "outputs" in path for path in found)
 
 
-@pytest.mark.parametrize("name", builtin_scenes())
+@pytest.mark.parametrize("name", slow_but(A_FEW, builtin_scenes()))
 def test_every_built_in_scene_has_numbers_that_it_can_have(name):
     """Each number is one that the scene can be read with."""
     live = LiveRun(name)

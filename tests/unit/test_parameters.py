@@ -18,6 +18,8 @@ from rollkane.identification.transforms import (
     inertia_transform,
 )
 
+from ..quick import A_FEW, slow_but
+
 EPS = np.finfo(float).eps
 ASKEW = np.array([[4e-4, 2e-5, 1e-5], [2e-5, 6e-4, -3e-5], [1e-5, -3e-5, 7e-4]])
 TIMES = np.linspace(0.0, 0.5, 11)
@@ -165,7 +167,7 @@ def known_value(path):
     return SCENE.body.mass if path.endswith("mass") else SCENE.body.surface.semi_axes
 
 
-@pytest.mark.parametrize("name", builtin_scenes())
+@pytest.mark.parametrize("name", slow_but(A_FEW, builtin_scenes()))
 def test_every_number_that_is_offered_can_be_free(name):
     """And has the scene's value at the start."""
     file = load_scene(name)

@@ -14,7 +14,7 @@ from .. import problems
 from ..quick import slow_but
 
 TIMES = np.array([0.0, 0.1, 0.3])
-METHODS = pytest.mark.parametrize("method", ["diffrax", "native"])
+METHODS = pytest.mark.parametrize("method", slow_but(["native"], ["diffrax", "native"]))
 
 
 @METHODS
