@@ -45,6 +45,6 @@ def test_contacts_of_free_bodies_agree_for_five_seconds(kind, turn):
     assert off < 1e-9
     # forces are as exact as places times the square of a rate of some 10 / s; of the
     # largest
-    found = rolling.forces(run.time, run.state).force
-    error = np.abs(np.swapaxes(found, 0, 1) - forces).max()
+    found = np.asarray(rolling.forces(run.time, run.state).force)
+    error = np.abs(np.swapaxes(found, 0, 1) - np.asarray(forces)).max()
     assert error < 1e-7 * np.abs(found).max()
