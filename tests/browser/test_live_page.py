@@ -69,6 +69,12 @@ def test_a_dragged_surface_is_another_mesh(browser, server):
     drag(browser, "body.surface.radius", 2.0 * before)
     assert browser.run(size) == pytest.approx(2.0 * before, rel=1e-3)
     assert browser.run("rollkane.player.stage.body.children.length") >= 2
+    enlarged = browser.picture()
+    browser.click("restore")
+    wait_until(lambda: not browser.run("rollkane.live.busy"))
+    browser.settle()
+    assert browser.run(size) == pytest.approx(before, rel=1e-3)
+    assert abs(browser.picture() - enlarged).max() > 0.1
     assert browser.complaints == []
 
 

@@ -114,8 +114,13 @@ def test_parts_whose_tables_are_the_same_are_taken_again():
     other = live.run({"body.mass": live.numbers[0].value * 1.1}).scene
     assert other.base is base
     radius = next(one for one in live.numbers if "surface" in one.path)
-    assert live.changes_shapes({radius.path: 1.1 * radius.value})
-    assert not live.changes_shapes({"body.mass": 3.0})
+    larger = {radius.path: 1.1 * radius.value}
+    assert live.changes_shapes(larger, {})
+    assert not live.changes_shapes({"body.mass": 3.0}, {})
+    # back to the file's, too, and not while another number is dragged
+    assert live.changes_shapes({}, larger)
+    assert live.changes_shapes({radius.path: radius.value}, larger)
+    assert not live.changes_shapes(larger | {"body.mass": 3.0}, larger)
 
 
 def test_ranges_are_chosen_and_checked(ball):
@@ -143,7 +148,7 @@ def test_the_page_may_ask_its_server_and_nobody_else(server, live):
 
 
 def test_a_question_is_answered_by_the_motion(server, live):
-    question = json.dumps({"body.mass": 2.0})
+    question = json.dumps({"values": {"body.mass": 2.0}, "shown": {}})
     status, text = ask(server, "POST", f"/{server.key}/run", question)
     assert status == 200
     data = json.loads(text)
@@ -151,16 +156,24 @@ def test_a_question_is_answered_by_the_motion(server, live):
     position = unpacked(data["frames"]["position"])
     expected = np.asarray(live.run({"body.mass": 2.0}).position)
     np.testing.assert_allclose(position, expected, rtol=1e-6, atol=1e-7)  # float32
-    radius = json.dumps({"body.surface.radius": 0.2})
+    larger = {"body.surface.radius": 0.2}
+    radius = json.dumps({"values": larger, "shown": {}})
     data = json.loads(ask(server, "POST", f"/{server.key}/run", radius)[1])
     assert data["size"] == pytest.approx(0.2, rel=1e-3)
+    restored = json.dumps({"values": {}, "shown": larger})
+    data = json.loads(ask(server, "POST", f"/{server.key}/run", restored)[1])
+    assert "body" in data  # the file's surfaces, again
 
 
 @pytest.mark.parametrize(
     ("question", "says"),
     [
-        ('{"body.mass": -1}', "body.mass"),
-        ('{"body.colour": 1}', "is no number that is dragged"),
+        ('{"values": {"body.mass": -1}, "shown": {}}', "body.mass"),
+        (
+            '{"values": {"body.colour": 1}, "shown": {}}',
+            "is no number that is dragged",
+        ),
+        ('{"body.mass": 2}', "values"),
         ("[1]", ""),
         ("nonsense", "Expecting value"),
     ],

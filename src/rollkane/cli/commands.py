@@ -16,6 +16,7 @@ from .. import __version__
 from .fit_command import fit
 from .json_text import json_text
 from .live_command import live
+from .option_values import quiet_option
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, Positive, loaded, scene_argument, start_jax
 from .setup_commands import doctor, new
@@ -197,7 +198,7 @@ def scenes(ctx: click.Context, show: str | None, as_json: bool) -> None:
 @main.command()
 @scene_argument
 @click.option("--json", "as_json", is_flag=True, help="Print what is found as JSON.")
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def check(ctx: click.Context, scene: str, as_json: bool, quiet: bool) -> None:
     """Check SCENE, a TOML file: every error at once, with line, value and remedy.

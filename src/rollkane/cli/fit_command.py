@@ -8,11 +8,12 @@ import sys
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from .json_text import json_text
+from .option_values import quiet_option, refuse
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import STOPPED_EARLY, loaded, scene_argument, start_jax
 
@@ -101,7 +102,7 @@ def _several(
 @click.option("--report", type=click.Path(), help="HTML page to write.")
 @click.option("--plot", type=click.Path(), help="Picture: samples, misfits.")
 @force_option
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def fit(
     ctx: click.Context,
@@ -160,15 +161,11 @@ def _pairs(option: str, given: Sequence[str]) -> dict[str, str]:
     for one in given:
         name, equals, text = one.partition("=")
         if not equals or not name.strip() or not text.strip():
-            _refuse(option, f"{one!r} is not NAME=VALUE")
+            refuse(f"--{option}", f"{one!r} is not NAME=VALUE")
         if name.strip() in found:
-            _refuse(option, f"names {name.strip()} twice")
+            refuse(f"--{option}", f"names {name.strip()} twice")
         found[name.strip()] = text.strip()
     return found
-
-
-def _refuse(option: str, message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint=f"'--{option}'")
 
 
 def _numbers(option: str, text: str) -> list[float | None]:
@@ -176,13 +173,13 @@ def _numbers(option: str, text: str) -> list[float | None]:
     try:
         return [float(part) if part.strip() else None for part in text.split(",")]
     except ValueError:
-        _refuse(option, f"{text!r} is not made of numbers between commas")
+        refuse(f"--{option}", f"{text!r} is not made of numbers between commas")
 
 
 def _two(option: str, text: str) -> tuple[float | None, float | None]:
     numbers = _numbers(option, text)
     if len(numbers) != 2:
-        _refuse(option, f"{text!r} is not two numbers with a comma between them")
+        refuse(f"--{option}", f"{text!r} is not two numbers with a comma between them")
     return numbers[0], numbers[1]
 
 
@@ -244,7 +241,7 @@ def _free(paths: Sequence[str], named: dict[str, dict[str, str]]) -> list[Any]:
     for option in ("bounds", "prior", "form"):
         for path in named[option]:
             if path not in paths:
-                _refuse(option, f"{path} is not free; give --free {path}, too")
+                refuse(f"--{option}", f"{path} is not free; give --free {path}, too")
     found: list[Any] = []
     for path in paths:
         bounds, prior = named["bounds"].get(path), named["prior"].get(path)
@@ -252,7 +249,7 @@ def _free(paths: Sequence[str], named: dict[str, dict[str, str]]) -> list[Any]:
         if prior is not None:
             mean, deviation = _two("prior", prior)
             if mean is None or deviation is None:
-                _refuse("prior", f"{prior!r} wants a mean and a standard deviation")
+                refuse("--prior", f"{prior!r} wants a mean and a standard deviation")
             given = mean, deviation
         limits = None if bounds is None else _two("bounds", bounds)
         found.append(Free(path, limits, given, named["form"].get(path)))

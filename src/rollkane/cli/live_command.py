@@ -11,10 +11,11 @@ import threading
 import webbrowser
 from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, NoReturn, cast
+from typing import Any, cast
 
 import click
 
+from .option_values import refuse
 from .preparation import loaded, scene_argument, start_jax
 
 _HOST = "127.0.0.1"
@@ -73,16 +74,12 @@ def _asked(given: Sequence[str]) -> dict[str, tuple[float, float]]:
         path, _, text = one.partition("=")
         ends = text.split(":")
         if not path.strip() or len(ends) != 2:
-            _refuse(f"{one!r} is not PATH=LOW:HIGH, such as body.mass=1:2")
+            refuse("--vary", f"{one!r} is not PATH=LOW:HIGH, such as body.mass=1:2")
         try:
             found[path.strip()] = float(ends[0]), float(ends[1])
         except ValueError:
-            _refuse(f"{one!r}: the ends are not numbers")
+            refuse("--vary", f"{one!r}: the ends are not numbers")
     return found
-
-
-def _refuse(message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint="'--vary'")
 
 
 class LiveServer(ThreadingHTTPServer):
@@ -122,18 +119,19 @@ class LiveServer(ThreadingHTTPServer):
         return page_of(data, title, ("live.js",), "'self'").encode()
 
     def answer(self, question: bytes) -> bytes:
-        """A motion for numbers by path, or why there is none."""
+        """A motion for ``values`` by path where others are ``shown``, or why none."""
         from ..files.scene_files import SceneFileError
         from ..validation.checks import FieldError
 
         try:
-            values = json.loads(question)
+            asked = json.loads(question)
+            values, shown = asked["values"], asked["shown"]
             with self._lock:
-                shapes = self._run.changes_shapes(values)
+                shapes = self._run.changes_shapes(values, shown)
                 found = self._run.data(values, shapes)
         except SceneFileError as error:
             found = {"refused": str(error).split("\n", 1)[0]}
-        except (FieldError, ValueError, TypeError, AttributeError) as error:
+        except (FieldError, ValueError, TypeError, KeyError) as error:
             found = {"refused": str(error)}
         return json.dumps(found, allow_nan=False).encode()
 

@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -19,6 +19,7 @@ from ..files.file_endings import (
     ending,
     wrong_ending,
 )
+from .option_values import refuse
 
 # by option: endings that it can write, the modules for it, the extra with them
 _NEEDS = {
@@ -52,17 +53,17 @@ def check_targets(
         _check_place(option, target)
         if target.resolve() in taken:
             other = taken[target.resolve()]
-            _refuse(option, f"{target} is the file of {other}; give another name")
+            refuse(option, f"{target} is the file of {other}; give another name")
         taken[target.resolve()] = option
         endings, modules, extra = _NEEDS[name]
         wrong = wrong_ending(target, endings)
         if wrong is not None:
-            _refuse(option, f"{target}: {wrong[0]}; {wrong[1]}")
+            refuse(option, f"{target}: {wrong[0]}; {wrong[1]}")
         if ending(target) in TABLES:  # which need none of them
             modules = ()
         for module in modules:
             if importlib.util.find_spec(module) is None:
-                _refuse(
+                refuse(
                     option,
                     f"needs {module}, which is not installed: "
                     f"pip install 'rollkane[{extra}]'",
@@ -70,18 +71,18 @@ def check_targets(
     for name, target in targets.items() if not force else ():
         if target.exists() and not (_is_asked() and _may_replace(target)):
             problem = f"{target} is there; give --force to replace it, or another name"
-            _refuse(f"--{name}", problem)
+            refuse(f"--{name}", problem)
 
 
 def _check_place(option: str, target: Path) -> None:
     """Refuse a file in no folder, or that is one."""
     folder = target.resolve().parent
     if not folder.is_dir():
-        _refuse(option, f"the folder {folder} does not exist; make it first")
+        refuse(option, f"the folder {folder} does not exist; make it first")
     if target.is_dir():
-        _refuse(option, f"{target} is a folder; give the name of a file")
+        refuse(option, f"{target} is a folder; give the name of a file")
     if not os.access(folder, os.W_OK):
-        _refuse(option, f"the folder {folder} cannot be written to")
+        refuse(option, f"the folder {folder} cannot be written to")
 
 
 def _is_asked() -> bool:
@@ -91,10 +92,6 @@ def _is_asked() -> bool:
 
 def _may_replace(target: Path) -> bool:
     return click.confirm(f"{target} is there; replace it?", err=True)
-
-
-def _refuse(option: str, message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint=f"'{option}'")
 
 
 def write(name: str, result: Any, target: Path, title: str) -> bool:

@@ -15,6 +15,7 @@ import click
 from ..files.scene_file_limits import MOST_OUTPUTS
 from .event_options import ended, event_lines, watched
 from .json_text import json_text
+from .option_values import quiet_option, verbose_option
 from .output_files import check_targets, force_option, write
 from .preparation import STOPPED_EARLY, Positive, loaded, scene_argument, start_jax
 from .waiting import INTERRUPTED, waited
@@ -100,8 +101,8 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print what it did as JSON.")
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
-@click.option("--verbose", "-v", is_flag=True, help="Print which loop ran, and why.")
+@quiet_option
+@verbose_option
 @click.pass_context
 def simulate(
     ctx: click.Context,

@@ -4,14 +4,14 @@ Everything heavy is imported inside the functions, as in the other commands.
 """
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from .json_text import json_text
+from .option_values import finite_number, quiet_option, refuse
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import loaded, scene_argument, start_jax
 
@@ -42,7 +42,7 @@ _json_option = click.option(
 @click.option("--energy-sign", is_flag=True, help="Tell that of the kept energy, too.")
 @_json_option
 @force_option
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def steady(
     ctx: click.Context,
@@ -105,7 +105,7 @@ def steady(
 @click.option("--plot", type=click.Path(), help="Picture: the diagram.")
 @_json_option
 @force_option
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def family(
     ctx: click.Context,
@@ -171,8 +171,8 @@ def _held(given: Sequence[str]) -> dict[str, float | None]:
     for one in given:
         name, equals, text = one.partition("=")
         if name in found:
-            _refuse("hold", f"names {name} twice")
-        found[name] = _number("hold", text) if equals else None
+            refuse("--hold", f"names {name} twice")
+        found[name] = finite_number("--hold", text) if equals else None
     return found
 
 
@@ -180,22 +180,8 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
     name, equals, span = text.partition("=")
     low, colon, high = span.partition(":")
     if not (equals and colon and name):
-        _refuse("vary", f"{text!r} is not NAME=LOW:HIGH")
-    return name, (_number("vary", low), _number("vary", high))
-
-
-def _number(option: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        _refuse(option, f"{text!r} is not a finite number")
-    return value
-
-
-def _refuse(option: str, message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint=f"'--{option}'")
+        refuse("--vary", f"{text!r} is not NAME=LOW:HIGH")
+    return name, (finite_number("--vary", low), finite_number("--vary", high))
 
 
 def _on_branch(

@@ -7,11 +7,12 @@ import contextlib
 import sys
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
 from .json_text import json_text
+from .option_values import quiet_option, refuse
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, STOPPED_EARLY, Positive, start_jax
 
@@ -43,7 +44,7 @@ _INTERRUPTED = 130  # as a shell says of Ctrl-C
 @click.option("--json", "as_json", is_flag=True, help="Print statistics as JSON.")
 @click.option("--plot", type=click.Path(), help="Picture: histograms, probabilities.")
 @force_option
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+@quiet_option
 @click.pass_context
 def monte_carlo(
     ctx: click.Context,
@@ -68,17 +69,17 @@ def monte_carlo(
     targets = {} if plot is None else {"plot": Path(plot)}
     check_targets(targets, study, force=force)
     if resume and store is None:
-        _refuse("--resume", "needs the --store that is gone on with")
+        refuse("--resume", "needs the --store that is gone on with")
     if store is not None and not Path(store).resolve().parent.is_dir():
         folder = Path(store).resolve().parent
-        _refuse("--store", f"the folder {folder} does not exist; make it first")
+        refuse("--store", f"the folder {folder} does not exist; make it first")
     shard = _shard(options.pop("shard"))
     wanted = _precisions(options.pop("precision"))
     start_jax()
     file = _loaded(ctx, study)
     size = options.pop("size") or file.size
     if size is None:
-        _refuse("--size", "is needed: neither it nor size in the file says how many")
+        refuse("--size", "is needed: neither it nor size in the file says how many")
     found = _run(ctx, file, size, store, resume, shard, wanted, quiet, options)
     _show(found, file.title, as_json, quiet)
     with telling_of_files():
@@ -126,10 +127,6 @@ def show(
         ctx.exit(STOPPED_EARLY)
 
 
-def _refuse(option: str, message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint=f"'{option}'")
-
-
 def _tell(line: str, quiet: bool) -> None:
     if not quiet:
         click.echo(line)
@@ -140,7 +137,7 @@ def _shard(text: str | None) -> tuple[int, int] | None:
         return None
     first, slash, last = text.partition("/")
     if not slash or not first.isdigit() or not last.isdigit():
-        _refuse("--shard", f"{text!r} is not I/N, such as 1/8")
+        refuse("--shard", f"{text!r} is not I/N, such as 1/8")
     return int(first), int(last)
 
 
@@ -149,11 +146,11 @@ def _precisions(given: tuple[str, ...]) -> dict[str, float]:
     for one in given:
         name, equals, text = one.rpartition("=")
         if not equals or not name.strip():
-            _refuse("--precision", f"{one!r} is not NAME=HALF_WIDTH")
+            refuse("--precision", f"{one!r} is not NAME=HALF_WIDTH")
         try:
             found[name.strip()] = Positive().convert(text, None, None)
         except click.BadParameter as refused:
-            _refuse("--precision", f"{one!r}: {refused.message}")
+            refuse("--precision", f"{one!r}: {refused.message}")
     return found
 
 
@@ -189,7 +186,7 @@ def _run(
 
     processes, cluster = options.pop("processes"), options.pop("cluster")
     if processes and cluster:
-        _refuse("--cluster", "cannot be given with --processes")
+        refuse("--cluster", "cannot be given with --processes")
     given = {"seed": file.seed, "sampling": file.sampling, "block": file.block}
     options = {name: value for name, value in options.items() if value is not None}
     try:

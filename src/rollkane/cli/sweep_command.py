@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import click
 
 from .json_text import json_text
+from .option_values import quiet_option, verbose_option
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, STOPPED_EARLY, loaded, scene_argument, start_jax
 from .simulate_command import how_to_run, run_options, set_option, times_of
@@ -118,8 +119,8 @@ def parts_of(observed: dict[str, Any]) -> dict[str, Any]:
 @run_options
 @force_option
 @click.option("--json", "as_json", is_flag=True, help="Print the table as JSON.")
-@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
-@click.option("--verbose", "-v", is_flag=True, help="Print which loop ran, and why.")
+@quiet_option
+@verbose_option
 @click.pass_context
 def sweep(
     ctx: click.Context,

@@ -6,10 +6,9 @@ Points whose scenes have the same structure are one ensemble: one compiled loop.
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple, NoReturn, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
-import click
-
+from .option_values import finite_number, refuse
 from .preparation import changes_of
 
 # each is loaded as a file of its own is, in about 3 ms
@@ -62,7 +61,7 @@ def varied(given: Sequence[str]) -> list[Varied]:
     found = [_one(path, text) for path, text in _apart(given)]
     count = math.prod(len(one.values) for one in found)
     if count > MOST_POINTS:
-        _refuse(f"asks for {count:,} points, more than {MOST_POINTS:,}")
+        refuse("--vary", f"asks for {count:,} points, more than {MOST_POINTS:,}")
     return found
 
 
@@ -71,9 +70,12 @@ def _apart(given: Sequence[str]) -> Iterable[tuple[str, str]]:
     for one in given:
         path, equals, text = (part.strip() for part in one.partition("="))
         if not (path and equals and text):
-            _refuse(f"{one!r} is not PATH=LOW:HIGH:COUNT, such as body.mass=1:2:11")
+            refuse(
+                "--vary",
+                f"{one!r} is not PATH=LOW:HIGH:COUNT, such as body.mass=1:2:11",
+            )
         if path in seen:
-            _refuse(f"names {path} twice")
+            refuse("--vary", f"names {path} twice")
         seen.add(path)
         yield path, text
 
@@ -81,28 +83,20 @@ def _apart(given: Sequence[str]) -> Iterable[tuple[str, str]]:
 def _one(path: str, text: str) -> Varied:
     parts = text.split(":")
     if len(parts) == 1:
-        return Varied(path, tuple(_number(path, x) for x in text.split(",")))
+        return Varied(
+            path, tuple(finite_number("--vary", x, path) for x in text.split(","))
+        )
     if len(parts) != 3 or not parts[2].strip().isdigit() or int(parts[2]) < 2:
-        _refuse(f"{path}={text} is neither LOW:HIGH:COUNT, with a COUNT >= 2, nor A,B")
-    low, high, count = _number(path, parts[0]), _number(path, parts[1]), int(parts[2])
+        refuse(
+            "--vary",
+            f"{path}={text} is neither LOW:HIGH:COUNT, with a COUNT >= 2, nor A,B",
+        )
+    low, high = (finite_number("--vary", x, path) for x in parts[:2])
+    count = int(parts[2])
     if count > MOST_POINTS:
-        _refuse(f"asks for {count:,} points, more than {MOST_POINTS:,}")
+        refuse("--vary", f"asks for {count:,} points, more than {MOST_POINTS:,}")
     step = (high - low) / (count - 1)
     return Varied(path, (*(low + step * k for k in range(count - 1)), high))
-
-
-def _number(path: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        _refuse(f"{path}: {text.strip()!r} is not a finite number")
-    return value
-
-
-def _refuse(message: str) -> NoReturn:
-    raise click.BadParameter(message, param_hint="'--vary'")
 
 
 def groups_of(

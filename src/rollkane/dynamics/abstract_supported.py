@@ -39,14 +39,18 @@ class AbstractSupported(eqx.Module):
         """Its masses at one instant."""
 
     def carried_apart(
-        self, apart: Apart, alpha: Any, alpha_dot: Float[Array, " n"]
+        self,
+        apart: Apart | None,
+        t: Array,
+        alpha: Any,
+        alpha_dot: Float[Array, " n"],
     ) -> Carried:
-        """Its masses with fewer columns, for a part whose coordinates are ``apart``.
+        """Its masses at one instant, with fewer columns where they are ``apart``.
 
         A column for the first coordinate of every mass, one for the second, ...
         """
-        del apart, alpha, alpha_dot
-        raise NotImplementedError("its coordinates are not apart")
+        del apart  # None: only a part that says otherwise shares them out
+        return self.carried(t, alpha, alpha_dot)
 
     @abc.abstractmethod
     def generalized_force(

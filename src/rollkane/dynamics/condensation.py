@@ -126,10 +126,7 @@ def condensed(
     eliminated: list[_Eliminated] = []
     aparts = [part.apart if part.count > FEW else None for part, *_ in parts]
     for (part, alpha, alpha_dot), apart in zip(parts, aparts, strict=True):
-        if apart is None:
-            own = part.carried(t, alpha, alpha_dot)
-        else:
-            own = part.carried_apart(apart, alpha, alpha_dot)
+        own = part.carried_apart(apart, t, alpha, alpha_dot)
         masses = masses_of(own, contact, system.proper)
         pushes, further = further[: part.count], further[part.count :]
         applied = part.applied(t, alpha, alpha_dot)

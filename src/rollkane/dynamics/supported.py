@@ -134,9 +134,15 @@ class PointMasses(_Driven):
         )
 
     def carried_apart(
-        self, apart: Apart, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+        self,
+        apart: Apart | None,
+        t: Array,
+        alpha: Float[Array, " n"],
+        alpha_dot: Float[Array, " n"],
     ) -> Carried:
         """The same, with a column for each mass's first, second, ... coordinate."""
+        if apart is None:
+            return self.carried(t, alpha, alpha_dot)
         place, velocity, bias = rates_of(self.position, alpha, alpha_dot)
         partials = apart.partials(self.position, alpha)
         return Carried(self.mass, place.T, velocity.T, bias.T, partials)

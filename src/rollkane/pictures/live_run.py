@@ -23,6 +23,7 @@ _MOST_NUMBERS = 24
 _TABLES = "body", "base", "start", "loads", "supported", "rolling", "contact", "modes"
 # what is not to be dragged: it would be another scene
 _LEFT_OUT = {"inertia", "outputs", "orientation", "time", "seed", "switches", "carrier"}
+_MOST_PARTS = 64  # kept of numbers that were dragged before, some megabytes at most
 _FACTOR = 3.0  # up to which a positive number is dragged, and down by
 
 
@@ -92,6 +93,8 @@ class LiveRun:
                 problem = "is no number that is dragged"
                 raise FieldError("values", path, problem, f"use {sorted(known)}")
         changes = {path: repr(float(value)) for path, value in values.items()}
+        if len(self._parts) > _MOST_PARTS:
+            self._parts.clear()
         file = load_scene(self.source, changes, self._parts)
         how: dict[str, Any] = {"modes": file.modes, "method": file.method}
         rtol = max(file.rtol or LEAST_RTOL, LEAST_RTOL)
@@ -111,10 +114,18 @@ class LiveRun:
         """
         return view_data(self.run(values), self.file.title, shapes=shapes)
 
-    def changes_shapes(self, values: Mapping[str, float]) -> bool:
-        """Whether the surfaces may differ from those of the file."""
-        files = {one.path: one.value for one in self.numbers}
-        changed = [path for path, x in values.items() if files.get(path) != x]
+    def changes_shapes(
+        self, values: Mapping[str, float], shown: Mapping[str, float]
+    ) -> bool:
+        """Whether the surfaces may differ from those that are shown.
+
+        Args:
+            values: By path; left out, those of the file.
+            shown: Those of the motion before.
+        """
+        file = {one.path: one.value for one in self.numbers}
+        then, now = file | dict(shown), file | dict(values)
+        changed = [path for path, x in now.items() if then.get(path) != x]
         return any("surface" in path or path.startswith("rolling") for path in changed)
 
 

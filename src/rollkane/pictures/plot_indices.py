@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 Target = str | os.PathLike[str] | None
 _MOST_PANELS = 6
+_TO_ZERO = 1 - 1e-9  # an error bar on a logarithmic axis ends just above zero
 
 
 def plot_sobol(
@@ -91,11 +92,12 @@ def plot_active_directions(
     figure = new_figure((9.0, 4.0))
     left, right = figure.subplots(1, 2)
     values, (low, high) = found.eigenvalues, found.eigenvalue_interval
+    # rounding of the largest: below it, what is zero on the logarithmic axis
     floor = 1e-16 * max(float(np.max(values, initial=0.0)), 1e-300)
     values = np.maximum(values, floor)
     numbers = np.arange(1, len(values) + 1)
     spread = np.stack([np.maximum(values - low, 0), np.maximum(high - values, 0)])
-    spread[0] = np.minimum(spread[0], values * (1 - 1e-9))
+    spread[0] = np.minimum(spread[0], values * _TO_ZERO)
     how: Any = {"fmt": "o", "color": BLUE, "ms": 4, "capsize": 3, "lw": 1.0}
     left.errorbar(numbers, values, yerr=spread, **how)
     left.set_yscale("log")
@@ -130,7 +132,7 @@ def plot_rare_event(
     reached = np.cumprod([level.probability for level in found.levels])
     errors = reached * np.array([level.relative_error for level in found.levels])
     how: Any = {"color": BLUE, "ms": 4, "capsize": 3, "lw": 1.0, "fmt": "o-"}
-    below = np.minimum(errors, reached * (1 - 1e-9))
+    below = np.minimum(errors, reached * _TO_ZERO)
     panel.errorbar(
         thresholds, reached, yerr=[below, errors], label="levels, first run", **how
     )
@@ -170,6 +172,7 @@ def plot_identifiability(
     figure = new_figure((6.5, 4.2))
     panel = figure.add_subplot()
     values = np.asarray(found.singular_values, float)
+    # a tenth of rounding of the largest, or of what is measured as well as it is known
     floor = 1e-17 * max(float(np.max(values, initial=0.0)), 1.0)
     numbers = np.arange(1, len(values) + 1)
     how: Any = {"color": BLUE, "marker": "o", "linestyle": "none", "ms": 5}

@@ -6,6 +6,7 @@ rollkane.Live = class {
     this.player = player;
     this.numbers = player.data.numbers;
     this.values = Object.fromEntries(this.numbers.map(({ path, value }) => [path, value]));
+    this.shown = { ...this.values }; // of the motion that is on the page
     this.busy = false;
     this.asked = false;
     this.frames = []; // when the last motions came [ms]
@@ -72,21 +73,23 @@ rollkane.Live = class {
   }
 
   async once() {
+    const values = { ...this.values };
     try {
       const answer = await fetch("run", {
         method: "POST",
         headers: { "Content-Type": "application/json" },
-        body: JSON.stringify(this.values),
+        body: JSON.stringify({ values, shown: this.shown }),
       });
       const data = await answer.json();
       if (data.refused) this.tell(data.refused, true);
-      else this.take(data);
+      else this.take(data, values);
     } catch {
       this.tell("the program behind this page has ended", true);
     }
   }
 
-  take(data) {
+  take(data, values) {
+    this.shown = values;
     this.player.replace(data);
     const now = performance.now();
     this.frames = [...this.frames.filter((then) => now - then < 1000), now];
