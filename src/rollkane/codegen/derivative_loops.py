@@ -6,16 +6,19 @@ in batches go from motion to motion.
 
 import math
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
+from .opened import opened
 from .right_hand_side import cotangents_source, tangents_source
 from .runge_kutta_source import of_bearable_length, pull_source, push_source
+from .scalar_program import NotElementwiseError
 from .tableau import Weights
 
 _MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
@@ -126,7 +129,7 @@ class TangentLoop:
 
 
 class CotangentLoop:
-    """Cotangents back along steps."""
+    """Cotangents back along steps: of one motion, or of those of a batch in lanes."""
 
     def __init__(self, rates: Rates, state: Shaped, between: int):
         """Write the right-hand side and the way back through it as C and compile them.
@@ -140,20 +143,31 @@ class CotangentLoop:
             NotElementwiseError: the right-hand side is more than arithmetic.
             NoCompilerError: no C compiler.
         """
-        made = cotangents_source(rates.function, state, rates.varied)
-        self._varied, self._closed = rates.varied, made.closed
+        self._rates, self._between = rates, between
+        self._state = jax.ShapeDtypeStruct(state.shape, state.dtype)
+        self._function, self._known = opened(rates.function, self._state, rates.varied)
+        self._call = self._compiled(None)
+
+    def _compiled(self, own: list[bool] | None) -> XlaCall:
+        """The loop of one motion, or of lanes where these leaves are their own."""
+        rates, state = self._rates, self._state
+        like = rates.varied, self._known
+        made = cotangents_source(self._function, state, *like, own)
         assert made.back is not None
-        head = _sizes(rates, state) | {"BETWEEN": between}
-        head["NUMBERS"] = made.functions.numbers
-        head["BACK_NUMBERS"] = made.back.numbers
-        texts = made.functions.text, made.back.text, pull_source(rates.weights)
-        parts = (
-            "along_steps.h",
-            "threads.h",
-            *of_bearable_length(texts),
-            "cotangent_loop.c",
+        head = _sizes(rates, state) | {"BETWEEN": self._between}
+        head["NUMBERS"], head["ROWS"] = made.functions.numbers, made.functions.rows
+        head["BACK_NUMBERS"], head["BACK_ROWS"] = made.back.numbers, made.back.rows
+        lanes, loop = 1, "cotangent_loop.c"
+        if own is not None:
+            lanes, loop = 64 // np.dtype(state.dtype).itemsize, "cotangent_lanes.c"
+            pairs = zip([*rates.varied, *self._known], own, strict=True)
+            head["OWN"] = sum(x.size for x, differs in pairs if differs)
+            head |= {"MOST_GIVEN": 10, "MOST_RESULTS": 2}
+        steps = pull_source(rates.weights, own is not None)
+        texts = made.functions.text, made.back.text, steps
+        return XlaCall(
+            state.dtype, lanes, head, (*_ALONG, *of_bearable_length(texts), loop)
         )
-        self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(
         self, way: Way, kept: Array, cotangents: Array, last_cotangent: Array
@@ -166,15 +180,55 @@ class CotangentLoop:
             cotangents: Cotangents of the states at the outputs, shape (T, n).
             last_cotangent: Of the last state, shape (n,).
         """
-        shared = in_one([*self._varied, *self._closed], cotangents.dtype)
-        sizes = [math.prod(x.shape) for x in self._varied]
-        shapes = last_cotangent.shape, (sum(sizes),)
-        back, of_varied = self._call(
-            shapes, shared, kept, cotangents, last_cotangent, *way
-        )
+        call = jax.custom_batching.custom_vmap(self._alone)
+
+        @call.def_vmap
+        def _(
+            size: int,
+            batched: list[Any],
+            leaves: list[Array],
+            along: tuple[Array, ...],
+        ) -> tuple[list[Array], list[bool]]:
+            differ, others = batched
+            try:
+                loop = self._compiled(list(differ))
+            except NotElementwiseError:
+                axis: Callable[[bool], int | None] = lambda x: 0 if x else None
+                axes = jax.tree.map(axis, (list(differ), tuple(others)))
+                found = jax.vmap(self._alone, in_axes=axes)(leaves, along)
+                return found, [True, True]
+            ahead: Callable[[Array, bool], Array] = lambda x, theirs: (
+                x if theirs else x[None]
+            )
+            pairs = [
+                (ahead(x, theirs).reshape(size if theirs else 1, -1), theirs)
+                for x, theirs in zip(leaves, differ, strict=True)
+            ]
+            none = jnp.zeros((1, 0), self._state.dtype)
+            shared = [none, *(x for x, theirs in pairs if not theirs)]
+            own = [x for x, theirs in pairs if theirs]
+            own = [jnp.broadcast_to(none, (size, 0)), *own]
+            given = [ahead(x, theirs) for x, theirs in zip(along, others, strict=True)]
+            both = jnp.concatenate(shared, axis=1), jnp.concatenate(own, axis=1)
+            shapes = [(size, *shape) for shape in self._shapes]
+            return loop(tuple(shapes), *both, *given), [True, True]
+
+        leaves = [*self._rates.varied, *self._known]
+        back, of_varied = call(leaves, (kept, cotangents, last_cotangent, *way))
+        sizes = [math.prod(x.shape) for x in self._rates.varied]
         parts = jnp.split(of_varied, np.cumsum(sizes)[:-1]) if sizes else []
-        pairs = zip(parts, self._varied, strict=True)
+        pairs = zip(parts, self._rates.varied, strict=True)
         return back, [part.reshape(like.shape) for part, like in pairs]
+
+    @property
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Of the cotangents of a motion's first state and of what is varied."""
+        return self._state.shape, (sum(x.size for x in self._rates.varied),)
+
+    def _alone(self, leaves: list[Array], along: tuple[Array, ...]) -> list[Array]:
+        """Of one motion; in a batch one after the other on every processor."""
+        shared = in_one(leaves, self._state.dtype)
+        return self._call(self._shapes, shared, *along)
 
 
 def _sizes(rates: Rates, state: Shaped) -> dict[str, int]:

@@ -202,7 +202,7 @@ class _Lanes(NamedTuple):
         time = jax.ShapeDtypeStruct((), dtype)
         program = Program(function, time, self.state, *self.leaves)
         statements = Statements()
-        values, size = self._symbols()
+        values, size = self.symbols()
         closed, traced = _closed(program, size + further, dtype)
         found = program(values, statements.operate, closed)
         results = [Result(*pair, row=True) for pair in zip(names, found, strict=True)]
@@ -210,7 +210,7 @@ class _Lanes(NamedTuple):
         made = as_functions(statements, stage, results, ending)
         return made, traced, found[0].size
 
-    def _symbols(self) -> tuple[list[Numbers], int]:
+    def symbols(self) -> tuple[list[Numbers], int]:
         """Time, state and leaves as symbols, and how many numbers all lanes share."""
         values = [symbols(["t"], (), row=True), array("y", self.state.shape, row=True)]
         places = {"own": 0, "shared": 0}
@@ -294,48 +294,60 @@ def tangents_source(
 
 
 def cotangents_source(
-    rates: Callable[..., Array], state: Shaped, varied: Sequence[Shaped]
+    rates: Callable[..., Array],
+    state: Shaped,
+    varied: Sequence[Shaped],
+    known: Sequence[Shaped],
+    own: list[bool] | None = None,
 ) -> Source:
-    """A right-hand side of one motion, and what a cotangent of its rates becomes.
+    """A right-hand side, and what a cotangent of its rates becomes.
 
     That of the state, and what it adds to those of what is varied.
 
     Args:
-        rates: ``rates(t, y, *varied)`` -> rates, shape (n,).
+        rates: ``rates(t, y, *varied, *known)`` -> rates, shape (n,); it closes over
+            nothing that is traced.
         state: Shape and type of y.
         varied: What has cotangents, apart from y: arrays, or shapes and types.
+        known: What has none.
+        own: For a row of motions, which of both differ from motion to motion; None:
+            for one.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
     """
+    count, row = len(varied), own is not None
 
-    def pulled(t: Array, y: Array, varied: list[Array], cotangent: Array) -> Any:
+    def pulled(t: Array, y: Array, leaves: list[Array], cotangent: Array) -> Any:
         def along(y: Array, *varied: Array) -> Array:
-            return rates(t, y, *varied)
+            return rates(t, y, *varied, *leaves[count:])
 
-        return cast(Any, jax.vjp(along, y, *varied)[1])(cotangent)
+        return cast(Any, jax.vjp(along, y, *leaves[:count])[1])(cotangent)
 
-    time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
+    time = jax.ShapeDtypeStruct((), state.dtype)
+    like = list(map(_shape_of, (*varied, *known)))
     listed: Callable[[Array, Array, list[Array]], Array]
-    listed = lambda t, y, varied: rates(t, y, *varied)
+    listed = lambda t, y, leaves: rates(t, y, *leaves)
     there = Program(listed, time, state, like)
     back = Program(pulled, time, state, like, state)
-    given, size = _given(state, like)
-    closed, traced = _closed(there, size, state.dtype)
-    size += sum(math.prod(x.shape) for x in traced)
-    closed_back, traced_back = _closed(back, size, state.dtype)
+    kind, more = "real", ""
+    if own is None:
+        given, _ = _given(state, like)
+    else:
+        kind, more = "row", ", const row *restrict own"
+        given, _ = _Lanes(state, like, own, [b""] * len(like)).symbols()
     statements = Statements()
-    found = there(given, statements.operate, closed)
-    stage = "real t, const real *restrict y"
-    functions = as_functions(statements, stage, [Result("d", found[0])])
+    found = there(given, statements.operate)
+    stage = f"{kind} t, const {kind} *restrict y{more}"
+    functions = as_functions(statements, stage, [Result("d", found[0], row=row)])
     statements = Statements()
-    cotangent = array("cotangent", state.shape, row=False)
-    found = back([*given, cotangent], statements.operate, closed_back)
+    cotangent = array("cotangent", state.shape, row=row)
+    found = back([*given, cotangent], statements.operate)
     numbers = as_objects([x for part in found[1:] for x in part.reshape(-1)], (-1,))
-    results = [Result("g", found[0]), Result("m", numbers, adds=True)]
-    stage = f"{stage}, const real *restrict cotangent"
+    results = [Result("g", found[0], row=row), Result("m", numbers, row, adds=True)]
+    stage = f"{stage}, const {kind} *restrict cotangent"
     changes = as_functions(statements, stage, results, "_back")
-    return Source(functions, [*traced, *traced_back], changes)
+    return Source(functions, [], changes)
 
 
 def _shape_of(x: Shaped) -> jax.ShapeDtypeStruct:

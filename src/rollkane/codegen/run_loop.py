@@ -3,17 +3,16 @@
 import functools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
 from jaxtyping import Array, Float
 
-from ..validation.checks import is_traced
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
+from .opened import opened
 from .right_hand_side import Looked, lanes_source
 from .runge_kutta_source import attempt_source, of_bearable_length
 from .scalar_program import NotElementwiseError
@@ -115,15 +114,15 @@ class RunLoop:
         """
         state = jax.ShapeDtypeStruct(state.shape, state.dtype)
         zeros = [b""] * len(leaves) if zeros is None else zeros
-        self._rates, closed = _opened(derivative, state, leaves)
+        self._rates, closed = opened(derivative, state, leaves)
         self._watch: Callable[..., Array] | None = None
         seen: list[Array] = []
         if watch is not None:
-            self._watch, seen = _opened(watch, state, leaves, len(closed))
+            self._watch, seen = opened(watch, state, leaves, len(closed))
         known = [*closed, *seen]
         self._events = events
         if events is not None:
-            values, more = _opened(events.values, state, leaves, len(known))
+            values, more = opened(events.values, state, leaves, len(known))
             self._events = events._replace(values=values)
             known += more
         self._leaves = [*leaves, *known]
@@ -242,28 +241,3 @@ class RunLoop:
             return self._compiled(list(differs), lanes, "batch_call.c")
         except NotElementwiseError:
             return None
-
-
-def _opened(
-    function: Callable[..., Array], state: Shaped, leaves: list[Array], before: int = 0
-) -> tuple[Callable[..., Array], list[Array]]:
-    """A function with the traced arrays that it closes over as arguments.
-
-    Behind the leaves, and behind ``before`` others that it does not look at. In a batch
-    they may differ from motion to motion as well.
-    """
-    like = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in leaves]
-    time = jax.ShapeDtypeStruct((), state.dtype)
-    traced = jax.make_jaxpr(function)(time, state, *like)
-    places = [i for i, x in enumerate(traced.consts) if is_traced(x)]
-
-    def opened(t: Array, y: Array, *arguments: Array) -> Array:
-        consts, first = list(traced.consts), len(leaves) + before
-        for place, x in zip(places, arguments[first:], strict=False):
-            consts[place] = x
-        program = core.ClosedJaxpr(traced.jaxpr, consts)
-        again = cast("Callable[..., list[Array]]", core.jaxpr_as_fun(program))
-        (found,) = again(t, y, *arguments[: len(leaves)])
-        return found
-
-    return opened, [traced.consts[i] for i in places]

@@ -115,31 +115,35 @@ def push_source(weights: Weights) -> str:
         f"                    row *restrict dy, {FIXED}, {PREPARED}) {{",
         "real k[STAGES][N], z[N];",
         "row dk[STAGES][N], dz[N];",
-        *_advanced(weights, ["", "d"], "tangents, u, v"),
+        *_advanced(weights, ["", "d"], "shared, tangents, u, v"),
         "}",
     ]
     return "\n".join(lines)
 
 
-def pull_source(weights: Weights) -> str:
-    """A step and its way back in C, ``advance`` and ``retreat``.
+def pull_source(weights: Weights, lanes: bool = False) -> str:
+    """A step and its way back in C, ``advance`` and ``retreat``; or those of lanes.
 
     With rates ``k_m = f(y + h sum_j a_mj k_j)`` and the end ``y + h sum_m b_m k_m``,
     the cotangent of a rate is ``h (b_m back + sum_j a_jm g_j)``, where ``g_j`` is that
     of the stage j behind it; that of y is the sum of all ``g`` and ``back``.
     """
+    kind = "row" if lanes else "real"
+    given = "const real *restrict shared, const real *restrict u"
+    known, back = "shared, NULL, u, NULL", "a, shared, NULL, u, NULL"
+    if lanes:
+        given = f"const row *restrict own, {given}, const row *restrict v"
+        known, back = "own, shared, NULL, u, v", "own, a, shared, NULL, u, v"
     lines = [
-        "static void advance(real t, real t_end, real h, real *restrict y,",
-        "                    const real *restrict shared, const real *restrict u,",
-        "                    real k[STAGES][N]) {",
-        "real z[N];",
-        *_advanced(weights, [""], "NULL, u, NULL"),
+        f"static void advance({kind} t, {kind} t_end, {kind} h, {kind} *restrict y,",
+        f"                    {given}, {kind} k[STAGES][N]) {{",
+        f"{kind} z[N];",
+        *_advanced(weights, [""], known),
         "}",
-        "static void retreat(real t, real t_end, real h, const real *restrict y,",
-        "                    const real k[STAGES][N], const real *restrict shared,",
-        "                    const real *restrict w, real *restrict back,",
-        "                    real *restrict m) {",
-        "real g[STAGES][N], z[N], a[N];",
+        f"static void retreat({kind} t, {kind} t_end, {kind} h,",
+        f"                    const {kind} *restrict y, const {kind} k[STAGES][N],",
+        f"                    {given}, {kind} *restrict back, {kind} *restrict m) {{",
+        f"{kind} g[STAGES][N], z[N], a[N];",
     ]
     stages = _stages(weights)
     last = stages[-1][0]
@@ -151,7 +155,7 @@ def pull_source(weights: Weights) -> str:
         lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
         place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
         lines.append(f"{_EACH} z[c] = {place};")
-        lines.append(f"rates_back({time}, z, a, shared, NULL, w, NULL, g[{i}], m);")
+        lines.append(f"rates_back({time}, z, {back}, g[{i}], m);")
     total = " + ".join(f"g[{i}][c]" for i in range(len(places)))
     return "\n".join([*lines, f"{_EACH} back[c] += {total};", "}"])
 
@@ -162,13 +166,11 @@ def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
     each: Callable[[str], list[str]]
     listed = lambda array: ", ".join(x + array for x in names)
     each = lambda text: [f"{_EACH} {text.replace('@', x)};" for x in names]
-    lines = [f"rates(t, {listed('y')}, shared, {given}, {listed('k[0]')});"]
+    lines = [f"rates(t, {listed('y')}, {given}, {listed('k[0]')});"]
     *before, last = _stages(weights)
     for i, (row, time) in enumerate(before, 1):
         lines += each(f"@z[c] = @y[c] + h * ({_weighted('@k', row)})")
-        lines.append(
-            f"rates({time}, {listed('z')}, shared, {given}, {listed(f'k[{i}]')});"
-        )
+        lines.append(f"rates({time}, {listed('z')}, {given}, {listed(f'k[{i}]')});")
     return lines + each(f"@y[c] += h * ({_weighted('@k', last[0])})")
 
 
