@@ -11,6 +11,8 @@ import pytest
 import rollkane as rk
 from rollkane.files.scene_files import load_scene
 
+from ..browser.chromium import Browser, command
+from ..browser.page_heights import heights, too_tall
 from .test_public_face import PUBLIC
 from .test_readme import PROGRAMS, blocks
 
@@ -149,3 +151,9 @@ def test_the_site_builds_without_warnings(tmp_path):
     assert site_checker().problems(site) == []
     pages = {str(p.relative_to(site).with_suffix("")) for p in site.rglob("*.html")}
     assert pages > set(LISTED)
+    if command() is not None:  # apt-get install chromium
+        browser = Browser(tmp_path)
+        try:
+            assert too_tall(heights(site, browser)) == []
+        finally:
+            browser.close()

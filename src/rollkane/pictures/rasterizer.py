@@ -1,7 +1,7 @@
 """Triangles as pixels, hidden ones behind those in front: pictures without a browser.
 
 All triangles of a mesh at once, by NumPy: those of about one size in the picture are
-laid out on square patches of pixels, and of all that meet in a pixel the nearest is
+laid out on patches of pixels, and of all that meet in a pixel the nearest is
 kept (z-buffer).
 """
 
@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_PATCHES = (2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048)  # sides of patches [px]
+_SIDES = np.array([2**k for k in range(1, 13)])  # of patches [px]
 _MOST = 1_000_000  # pixels that are looked at in one go
 _NEAR = 1e-3  # of the camera's distance: nothing nearer is drawn
 
@@ -117,43 +117,56 @@ def _fragments(
     edge = np.array([width, height])
     inside = np.all((high > 0) & (low < edge), axis=1)
     low, high = np.maximum(low, 0), np.minimum(high, edge)
-    extent = np.max(high - low, axis=1)
-    a, b, c = np.moveaxis(corners, 1, 0)
-    twice = _across(b - a, c - a)
-    drawn = inside & (np.abs(twice) > 1e-9) & (extent > 0)
-    kinds = np.searchsorted(_PATCHES, extent)
-    for kind in np.unique(kinds[drawn]):
-        side = _PATCHES[kind]
-        chosen = np.flatnonzero(drawn & (kinds == kind))
-        for part in np.array_split(chosen, 1 + len(chosen) * side * side // _MOST):
+    extent = high - low
+    slopes = _shares(corners, low)
+    drawn = inside & np.isfinite(slopes).all(axis=(1, 2)) & np.all(extent > 0, axis=1)
+    kinds: np.ndarray = np.searchsorted(_SIDES, extent)
+    number = kinds[:, 0] * len(_SIDES) + kinds[:, 1]
+    for kind in np.unique(number[drawn]):
+        across, down = (_SIDES[int(k)] for k in divmod(int(kind), len(_SIDES)))
+        chosen = np.flatnonzero(drawn & (number == kind))
+        for part in np.array_split(chosen, 1 + len(chosen) * across * down // _MOST):
             if part.size:
-                yield _in_patch(corners, low, twice, part, side, shape)
+                yield _in_patch(slopes, low, part, (across, down), shape)
+
+
+def _shares(corners: np.ndarray, low: np.ndarray) -> np.ndarray:
+    """Shares of the first two corners of triangles, linear in the pixels' numbers.
+
+    Returns:
+        Value at the middle of the patch's first pixel, change from column to column
+        and from row to row [1], shape (n, 2, 3); not finite where there is no area.
+    """
+    a, b, c = np.moveaxis(corners - (low + 0.5)[:, None], 1, 0)
+    twice = _across(b - a, c - a)[:, None]
+    known: list[np.ndarray] = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for u, v in ((b, c), (c, a)):
+            parts = _across(u, v), u[:, 1] - v[:, 1], v[:, 0] - u[:, 0]
+            known.append(np.stack(parts, axis=1) / twice)
+    return np.stack(known, axis=1).astype(np.float32)
 
 
 def _in_patch(
-    corners: np.ndarray,
+    slopes: np.ndarray,
     low: np.ndarray,
-    twice: np.ndarray,
     part: np.ndarray,
-    side: int,
+    sides: tuple[int, int],
     shape: tuple[int, int],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As of ``_fragments``, of triangles on patches of one size."""
     height, width = shape
-    steps = np.stack(np.meshgrid(np.arange(side), np.arange(side)), axis=-1)
-    at = low[part, None] + steps.reshape(-1, 2)
-    middle = at + 0.5
-    a, b, c = (corners[part, k, None] for k in range(3))
-    area = twice[part, None]
-    first = _across(b - middle, c - middle) / area
-    second = _across(c - middle, a - middle) / area
-    third = 1.0 - first - second
-    held = (first >= 0) & (second >= 0) & (third >= 0)
-    held &= (at[..., 0] < width) & (at[..., 1] < height)
-    which, where = np.nonzero(held)
-    pixel = at[which, where, 1] * width + at[which, where, 0]
-    share = np.stack([x[which, where] for x in (first, second, third)], axis=1)
-    return pixel, part[which], share
+    x, y = (np.arange(side, dtype=np.float32) for side in sides)
+    at, right, below = np.moveaxis(slopes[part], 2, 0)[..., None, None]
+    first, second = np.moveaxis(at + right * x + below * y[:, None], 1, 0)
+    held = (first >= 0) & (second >= 0) & (first + second <= 1)
+    which, row, column = np.nonzero(held)
+    shares = first[which, row, column], second[which, row, column]
+    row, column = row + low[part[which], 1], column + low[part[which], 0]
+    within = (row < height) & (column < width)
+    share = np.stack([*shares, 1 - shares[0] - shares[1]], axis=1)
+    pixel = row * width + column
+    return pixel[within], part[which[within]], share[within]
 
 
 def _across(u: np.ndarray, v: np.ndarray) -> np.ndarray:
