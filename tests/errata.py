@@ -99,7 +99,7 @@ def kinematics(scene, state):
     w = turn @ (contact.shell.frame @ v)
     return {
         "1, term dropped": (D1_dropped - true_D1, D1 - true_D1),
-        "1, read as a_11^c": (D1_misread - true_D1, D1 - true_D1),
+        "1, index misread": (D1_misread - true_D1, D1 - true_D1),
         "2": (
             still + by_sigma - by_tau - x_dot[4],
             still + by_sigma + by_tau - x_dot[4],

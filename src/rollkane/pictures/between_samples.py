@@ -62,9 +62,9 @@ def _located(known: np.ndarray, times: np.ndarray) -> _Between:
     if len(known) == 1:
         none = np.zeros(len(times), dtype=int)
         return _Between(none, none, np.zeros((len(times), 1)), np.ones((len(times), 1)))
-    way = np.sign(known[-1] - known[0])  # runs may go backwards in time
-    low = np.searchsorted(way * known, way * times, side="right") - 1
-    low = np.clip(low, 0, len(known) - 2)
+    way = 1.0 if known[-1] > known[0] else -1.0  # runs may go backwards in time
+    place = np.interp(way * times, way * known, np.arange(float(len(known))))
+    low = np.clip(np.floor(place).astype(int), 0, len(known) - 2)
     step = known[low + 1] - known[low]
     share = np.clip((times - known[low]) / step, 0.0, 1.0)
     return _Between(low, low + 1, share[:, None], step[:, None])

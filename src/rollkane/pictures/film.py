@@ -5,6 +5,7 @@ motion, in its colours. Needs the extra ``rollkane[film]`` (Pillow; imageio-ffmp
 MP4).
 """
 
+import importlib
 import io
 import os
 import subprocess
@@ -27,8 +28,8 @@ from .motion_parts import Parts, motion_parts, round_length
 from .motion_samples import MotionSamples, reached_samples
 from .rasterizer import Camera, Picture, draw, empty
 
-_SIZES = {".gif": (480, 360), ".mp4": (640, 480)}  # width and height [px]
-_RATES = {".gif": 20, ".mp4": 30}  # pictures a second
+_SIZES = {".gif": (400, 300), ".mp4": (640, 480)}  # width and height [px]
+_RATES = {".gif": 50.0 / 3.0, ".mp4": 25.0}  # pictures a second; GIF counts 0.01 s
 _SHORTEST, _LONGEST = 2.0, 12.0  # of a film [s]: other motions are slowed, or hurried
 _FINER = 2  # drawn so many times as fine, against jagged edges
 _FIELD = np.tan(np.radians(16.0))  # half of the field of view, upwards
@@ -72,7 +73,7 @@ def write_film(
     write_whole(path, data)
 
 
-def film_times(known: np.ndarray, rate: int) -> tuple[np.ndarray, float]:
+def film_times(known: np.ndarray, rate: float) -> tuple[np.ndarray, float]:
     """Times of a film's pictures [s], and seconds of the motion in one of the film.
 
     Args:
@@ -88,7 +89,8 @@ def film_times(known: np.ndarray, rate: int) -> tuple[np.ndarray, float]:
     elif 0.0 < duration < _SHORTEST:
         speed = round_length(duration / _SHORTEST)
     count = round(duration / speed * rate) + 1
-    return np.linspace(known[0], known[-1], max(count, 1)), speed
+    first, last = float(known[0]), float(known[-1])
+    return np.linspace(first, last, count), speed
 
 
 def frames(
@@ -138,7 +140,7 @@ def _draw_all(picture: Picture, camera: Camera, seen: Parts, k: int, only: str) 
         points = place + rotated(turn, part.mesh.points)
         normals = rotated(turn, part.mesh.normals)
         triangles = part.mesh.triangles
-        if part.kind in ("base", "inside"):  # one looks into hollows
+        if part.one_sided:
             toward = np.sum(normals * (camera.eye - points), axis=1)
             triangles = triangles[np.any(toward[triangles] > 0.0, axis=1)]
         pattern = checks(part.kind, part.mesh.cells)
@@ -171,15 +173,15 @@ def _draw_path(
         return
     fixed = motion.base_origin[k] + rotated(motion.base_orientation[k], path)
     places = camera.seen(fixed)
-    steps = np.max(np.abs(np.diff(places[:, :2], axis=0)), axis=1)
-    counts = np.minimum(np.ceil(steps).astype(int) + 1, 2000)
-    pieces = [
-        np.linspace(a, b, n)
-        for a, b, n in zip(places[:-1], places[1:], counts, strict=True)
-    ]
+    steps = np.diff(places, axis=0)
+    length = np.max(np.abs(steps[:, :2]), axis=1)
+    counts = np.minimum(np.ceil(length), 2000.0) + 1.0  # a dot a pixel
+    which = np.repeat(np.arange(len(counts)), counts.astype(int))
+    first = np.cumsum(counts) - counts
+    share = (np.arange(len(which)) - first[which]) / counts[which]
+    dots = places[which] + share[:, None] * steps[which]
     height, width = picture.depth.shape
     wide = np.arange(-1, 2)
-    dots = np.concatenate(pieces)
     column = np.rint(dots[:, 0, None, None] + wide[:, None]).astype(int)
     row = np.rint(dots[:, 1, None, None] + wide[None, :]).astype(int)
     column, row = np.broadcast_arrays(column, row)
@@ -245,7 +247,7 @@ def _with_text(pixels: np.ndarray, time: float, speed: float, title: str) -> Any
     return picture
 
 
-def _gif(pictures: Iterator[Any], rate: int) -> bytes:
+def _gif(pictures: Iterator[Any], rate: float) -> bytes:
     """All pictures with one palette, so that nothing flickers."""
     from PIL import Image
 
@@ -259,15 +261,14 @@ def _gif(pictures: Iterator[Any], rate: int) -> bytes:
     plain = [x.quantize(palette=palette, dither=Image.Dither.NONE) for x in whole]
     buffer = io.BytesIO()
     how: dict[str, Any] = {"save_all": True, "append_images": plain[1:], "loop": 0}
-    plain[0].save(buffer, "GIF", duration=1000 // rate, **how)
+    plain[0].save(buffer, "GIF", duration=round(1000 / rate), **how)
     return buffer.getvalue()
 
 
-def _mp4(pictures: Iterator[Any], rate: int, size: tuple[int, int]) -> bytes:
+def _mp4(pictures: Iterator[Any], rate: float, size: tuple[int, int]) -> bytes:
     """H.264 by ffmpeg, in a form that browsers and slides play."""
-    import imageio_ffmpeg
-
-    command: str = imageio_ffmpeg.get_ffmpeg_exe()
+    ffmpeg: Any = importlib.import_module("imageio_ffmpeg")
+    command = str(ffmpeg.get_ffmpeg_exe())
     with tempfile.TemporaryDirectory(prefix="rollkane-") as folder:
         target = Path(folder) / "film.mp4"
         line = [command, "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]

@@ -73,9 +73,11 @@ def _key_times(motion: MotionSamples) -> np.ndarray:
     counts = np.maximum(np.ceil(angle / _TURN), 1.0)
     if counts.sum() > _MOST_KEYS:
         counts = np.maximum(np.floor(counts * _MOST_KEYS / counts.sum()), 1.0)
-    ends = zip(motion.time[:-1], motion.time[1:], counts.astype(int), strict=True)
-    pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in ends]
-    return np.concatenate([*pieces, motion.time[-1:]])
+    row = np.repeat(np.arange(len(counts)), counts.astype(int))
+    first = np.cumsum(counts) - counts  # key at which an interval begins
+    share = (np.arange(len(row)) - first[row]) / counts[row]
+    inner = motion.time[row] + share * np.diff(motion.time)[row]
+    return np.concatenate([inner, motion.time[-1:]])
 
 
 class _Model:
@@ -158,7 +160,12 @@ class _Model:
         return len(self._views) - 1
 
     def _accessor(
-        self, array: np.ndarray, kind: str, target: int | None = None, *, bounds=False
+        self,
+        array: np.ndarray,
+        kind: str,
+        target: int | None = None,
+        *,
+        bounds: bool = False,
     ) -> int:
         component = _FLOAT if array.dtype.kind == "f" else _WHOLE
         accessor: dict[str, Any] = {

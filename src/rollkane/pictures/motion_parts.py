@@ -28,6 +28,8 @@ class Part(NamedTuple):
         position: Of its origin [m], fixed axes, shape (T, 3).
         orientation: Unit quaternion, scalar first, own to fixed axes [1], (T, 4).
         seen_through: Whether something is in it.
+        one_sided: Whether the backs of its triangles are not drawn: they are hidden, or
+            one looks through them into a hollow.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Part(NamedTuple):
     position: np.ndarray
     orientation: np.ndarray
     seen_through: bool = False
+    one_sided: bool = False
 
 
 class Parts(NamedTuple):
@@ -68,17 +71,22 @@ def motion_parts(scene: Scene, motion: MotionSamples, like: MotionSamples) -> Pa
     carries = within or like.masses.size > 0
     place, turn = motion.position, motion.orientation
     parts = [_base(scene, motion, like, size)]
-    parts.append(Part("body", "body", outer, place, turn, carries))
+    hides = not carries and is_closed(outer)
+    parts.append(Part("body", "body", outer, place, turn, carries, hides))
     poses = [(place, turn)]
     for k, own in enumerate(inner):
-        poses.append(tuple(motion.rolling_column(k, x) for x in _POSE))
+        at, along = (motion.rolling_column(k, x) for x in _POSE)
+        poses.append((at, along))
         holds = any(other.carrier == k for other in inner)
-        parts.append(Part(f"rolling {k}", "body", own.body, *poses[-1], holds))
+        hides = not holds and is_closed(own.body)
+        parts.append(Part(f"rolling {k}", "body", own.body, *poses[-1], holds, hides))
         if own.on is not None:
-            at, along = poses[own.carrier + 1]
+            at, along = poses[own.carrier + 1]  # of its carrier
             turned = product(along, own.turn[None])
             moved = at + rotated(along, own.place[None])
-            parts.append(Part(f"inside {k}", "inside", own.on, moved, turned, True))
+            parts.append(
+                Part(f"inside {k}", "inside", own.on, moved, turned, True, True)
+            )
     parts += _masses(motion, size)
     ball = ball_mesh(0.04 * size)
     level = np.repeat(_LEVEL, len(motion.time), axis=0)
@@ -101,7 +109,8 @@ def _base(
     else:
         margin = 1.3 * size + 0.1 * extent
         mesh = surface_mesh(surface, touched, like.base_outward, margin)
-    return Part("base", "base", mesh, motion.base_origin, motion.base_orientation)
+    turn, place = motion.base_orientation, motion.base_origin
+    return Part("base", "base", mesh, place, turn, one_sided=not surface.is_flat)
 
 
 def _masses(motion: MotionSamples, size: float) -> list[Part]:
@@ -115,6 +124,21 @@ def _masses(motion: MotionSamples, size: float) -> list[Part]:
     return found
 
 
+def is_closed(mesh: Mesh) -> bool:
+    """Whether every edge of a mesh is of two triangles; points that agree are one.
+
+    Args:
+        mesh: Of any surface.
+    """
+    grain = 1e-6 * max(float(np.max(np.ptp(mesh.points, axis=0), initial=0.0)), 1e-300)
+    keys = np.rint(mesh.points / grain)
+    same = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    a, b, c = same[mesh.triangles].T
+    edges = np.sort(np.stack([np.r_[a, b, c], np.r_[b, c, a]], axis=1), axis=1)
+    counts = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)[1]
+    return bool(counts.size) and bool(np.all(counts == 2))
+
+
 def ground_mesh(touched: np.ndarray, margin: float) -> Mesh:
     """A piece of the plane z = 0 with squares of a round length.
 
@@ -124,18 +148,19 @@ def ground_mesh(touched: np.ndarray, margin: float) -> Mesh:
     """
     low, high = touched[:, :2].min(axis=0) - margin, touched[:, :2].max(axis=0) + margin
     side = round_length(0.15 * float(np.max(high - low)))
-    low, high = side * np.floor(low / side), side * np.ceil(high / side)
-    counts = np.rint((high - low) / side).astype(int)
-    x, y = (np.linspace(low[i], high[i], counts[i] + 1) for i in range(2))
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    first = np.floor(low / side).astype(int)
+    columns, rows = (int(x) for x in np.ceil(high / side).astype(int) - first)
+    count = np.arange((columns + 1) * (rows + 1))
+    steps = np.stack([count // (rows + 1), count % (rows + 1)], axis=1)
+    places = side * (first + steps)
     points = np.concatenate([places, np.zeros((len(places), 1))], axis=1)
-    number = np.arange(len(points)).reshape(len(x), len(y))
+    number = count.reshape(columns + 1, rows + 1)
     a, b = number[:-1, :-1].ravel(), number[1:, :-1].ravel()
     c, d = number[1:, 1:].ravel(), number[:-1, 1:].ravel()
     corners = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    marks = (places - low) / (high - low)
-    return Mesh(points, normals, marks, corners, (int(counts[0]), int(counts[1])))
+    marks = steps / np.array([columns, rows])
+    return Mesh(points, normals, marks, corners, (columns, rows))
 
 
 def round_length(length: float) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-_SIDES = np.array([2**k for k in range(1, 13)])  # of patches [px]
+_LARGEST = 16  # powers of two that sides of patches may be [px]
 _MOST = 1_000_000  # pixels that are looked at in one go
 _NEAR = 1e-3  # of the camera's distance: nothing nearer is drawn
 
@@ -95,6 +95,7 @@ def draw(
     np.minimum.at(nearest, pixel, depth)
     front = depth == nearest[pixel]
     pixel, corners, share = pixel[front], corners[front], share[front]
+    marks, light = marks.astype(np.float32), light.astype(np.float32)
     place = np.einsum("nk,nkc->nc", share, marks[corners])
     cells = np.array(pattern.shape[:2])
     square = np.clip((place * cells).astype(int), 0, cells - 1)
@@ -120,10 +121,11 @@ def _fragments(
     extent = high - low
     slopes = _shares(corners, low)
     drawn = inside & np.isfinite(slopes).all(axis=(1, 2)) & np.all(extent > 0, axis=1)
-    kinds: np.ndarray = np.searchsorted(_SIDES, extent)
-    number = kinds[:, 0] * len(_SIDES) + kinds[:, 1]
+    # patches are as wide and as high as the next powers of two
+    powers = np.ceil(np.log2(np.maximum(extent, 2))).astype(int)
+    number = powers @ np.array([_LARGEST, 1])
     for kind in np.unique(number[drawn]):
-        across, down = (_SIDES[int(k)] for k in divmod(int(kind), len(_SIDES)))
+        across, down = (2**power for power in divmod(int(kind), _LARGEST))
         chosen = np.flatnonzero(drawn & (number == kind))
         for part in np.array_split(chosen, 1 + len(chosen) * across * down // _MOST):
             if part.size:
