@@ -67,7 +67,7 @@ rollkane.scale = (spacing, [first, second]) => (material) => {
         vec2 at = vec2(vPlace.${first}, vPlace.${second}) / spacing;
         vec2 pixel = max(fwidth(at), 1e-6);
         vec2 away = abs(fract(at - 0.5) - 0.5) / pixel;
-        vec2 near = clamp(1.5 - away, 0.0, 1.0) * (1.0 - smoothstep(0.1, 0.4, pixel));
+        vec2 near = clamp(1.2 - away, 0.0, 1.0) * (1.0 - smoothstep(0.1, 0.4, pixel));
         diffuseColor.rgb = mix(diffuseColor.rgb, lineColor, max(near.x, near.y));`);
   };
 };
@@ -210,11 +210,13 @@ rollkane.Stage = class {
     for (const ball of this.carried) this.body.add(ball);
     this.rolling = this.rollingBodies(data);
     this.base = new THREE.Group();
-    this.spacing = data.base ? rollkane.roundLength(0.15 * box.radius) : 0;
+    this.spacing = 0;
     if (data.base && data.base.plane) {
+      this.spacing = rollkane.roundLength(0.15 * box.radius);
       const { center, radius } = rollkane.reached(motion, box);
       this.base.add(rollkane.ground(center, radius, this.spacing));
     } else if (data.base) {
+      this.spacing = rollkane.roundLength(0.3 * box.radius);
       const geometry = rollkane.geometry(data.base);
       const lines = rollkane.scale(this.spacing, rollkane.along(motion));
       this.base.add(rollkane.cutaway(geometry, lines));
