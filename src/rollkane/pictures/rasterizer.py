@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+_LARGE = 48  # px; larger triangles are few, and laid out one by one
 _LARGEST = 16  # powers of two that sides of patches may be [px]
 _MOST = 1_000_000  # pixels that are looked at in one go
 _NEAR = 1e-3  # of the camera's distance: nothing nearer is drawn
@@ -88,29 +89,53 @@ def draw(
     found = list(_fragments(seen, triangles, (height, width)))
     if not found:
         return
-    pixel, which, share = (np.concatenate(x) for x in zip(*found, strict=True))
-    corners = triangles[which]
-    depth = np.sum(share * seen[corners, 2], axis=1, dtype=np.float32)
+    pixel, which, first, second = (np.concatenate(x) for x in zip(*found, strict=True))
+    numbers = triangles.T.astype(np.int32)
+    within = _Within(numbers[0][which], numbers[1][which], numbers[2][which])
+    share = first, second, 1 - first - second
+    depth = within.mean(share, seen[:, 2])
     nearest = picture.depth.reshape(-1).copy()
     np.minimum.at(nearest, pixel, depth)
-    front = depth == nearest[pixel]
-    pixel, corners, share = pixel[front], corners[front], share[front]
-    marks, light = marks.astype(np.float32), light.astype(np.float32)
-    place = np.einsum("nk,nkc->nc", share, marks[corners])
-    cells = np.array(pattern.shape[:2])
-    square = np.clip((place * cells).astype(int), 0, cells - 1)
-    bright = np.einsum("nk,nk->n", share, light[corners])
-    color = np.clip(pattern[square[:, 0], square[:, 1]] * bright[:, None], 0.0, 255.0)
+    front = np.flatnonzero(depth == nearest[pixel])
+    pixel, within = pixel[front], _Within(*(x[front] for x in within))
+    share = share[0][front], share[1][front], share[2][front]
+    columns, rows = pattern.shape[:2]
+    column = (within.mean(share, marks[:, 0]) * columns).astype(np.int32)
+    row = (within.mean(share, marks[:, 1]) * rows).astype(np.int32)
+    square = np.clip(column, 0, columns - 1) * rows + np.clip(row, 0, rows - 1)
+    colors = pattern.reshape(-1, 3).astype(np.float32)
+    color = colors[square] * within.mean(share, light)[:, None]
+    np.minimum(color, 255.0, out=color)
     flat = picture.color.reshape(-1, 3)
-    flat[pixel] = opacity * color + (1.0 - opacity) * flat[pixel]
     if opacity == 1.0:
+        flat[pixel] = color
         picture.depth.reshape(-1)[pixel] = nearest[pixel]
+    else:
+        flat[pixel] = opacity * color + (1.0 - opacity) * flat[pixel]
+
+
+class _Within(NamedTuple):
+    """Corners of the triangles in which pixels are, three numbers of points each."""
+
+    a: np.ndarray
+    b: np.ndarray
+    c: np.ndarray
+
+    def mean(
+        self, share: tuple[np.ndarray, np.ndarray, np.ndarray], values: np.ndarray
+    ) -> np.ndarray:
+        """Values of the points, by the corners' shares."""
+        known = values.astype(np.float32)
+        found = share[0] * known[self.a]
+        found += share[1] * known[self.b]
+        found += share[2] * known[self.c]
+        return found
 
 
 def _fragments(
     seen: np.ndarray, triangles: np.ndarray, shape: tuple[int, int]
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Pixels in triangles: their numbers, the triangles, shares of the corners."""
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+    """Pixels in triangles: their numbers, the triangles, shares of two corners."""
     height, width = shape
     corners = seen[triangles][..., :2]
     low = np.floor(corners.min(axis=1)).astype(int)
@@ -121,9 +146,14 @@ def _fragments(
     extent = high - low
     slopes = _shares(corners, low)
     drawn = inside & np.isfinite(slopes).all(axis=(1, 2)) & np.all(extent > 0, axis=1)
-    # patches are as wide and as high as the next powers of two
+    large = drawn & np.any(extent > _LARGE, axis=1)
+    for k in np.flatnonzero(large):
+        sides = int(extent[k, 0]), int(extent[k, 1])
+        yield _in_patch(slopes, low, np.array([k]), sides, shape)
+    # patches of the others are as wide and as high as the next powers of two
     powers = np.ceil(np.log2(np.maximum(extent, 2))).astype(int)
     number = powers @ np.array([_LARGEST, 1])
+    drawn &= ~large
     for kind in np.unique(number[drawn]):
         across, down = (2**power for power in divmod(int(kind), _LARGEST))
         chosen = np.flatnonzero(drawn & (number == kind))
@@ -155,7 +185,7 @@ def _in_patch(
     part: np.ndarray,
     sides: tuple[int, int],
     shape: tuple[int, int],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """As of ``_fragments``, of triangles on patches of one size."""
     height, width = shape
     x, y = (np.arange(side, dtype=np.float32) for side in sides)
@@ -163,12 +193,14 @@ def _in_patch(
     first, second = np.moveaxis(at + right * x + below * y[:, None], 1, 0)
     held = (first >= 0) & (second >= 0) & (first + second <= 1)
     which, row, column = np.nonzero(held)
-    shares = first[which, row, column], second[which, row, column]
-    row, column = row + low[part[which], 1], column + low[part[which], 0]
-    within = (row < height) & (column < width)
-    share = np.stack([*shares, 1 - shares[0] - shares[1]], axis=1)
+    one, two = first[which, row, column], second[which, row, column]
+    owner = part[which]
+    row, column = row + low[owner, 1], column + low[owner, 0]
     pixel = row * width + column
-    return pixel[within], part[which[within]], share[within]
+    within = (row < height) & (column < width)
+    if within.all():
+        return pixel, owner, one, two
+    return pixel[within], owner[within], one[within], two[within]
 
 
 def _across(u: np.ndarray, v: np.ndarray) -> np.ndarray:
