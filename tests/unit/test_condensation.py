@@ -8,9 +8,10 @@ import pytest
 import rollkane as rk
 from rollkane.codegen.dependence import reached_numbers
 from rollkane.dynamics.condensation import condensed, condenses
-from rollkane.dynamics.contact_laws import accelerations, momentum_rate
+from rollkane.dynamics.contact_laws import accelerations
 from rollkane.dynamics.coordinate_functions import Apart
 from rollkane.dynamics.mass_matrix import assemble
+from rollkane.dynamics.momentum import momentum_rate
 from rollkane.dynamics.rolling import contact_of
 
 LEVEL = np.array([0.9, 0.3, -0.2, 0.1]) / np.sqrt(0.95)

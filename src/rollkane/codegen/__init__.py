@@ -9,16 +9,21 @@ from .derivative_loops import CotangentLoop, Rates, TangentLoop, Way
 from .event_layout import Layout
 from .ffi_call import check_usable
 from .lane_loop import LaneLoop, Queue, Results, Stops
-from .right_hand_side import Looked, zeros_of
+from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
+from .right_hand_side import Looked, with_known_zeros, zeros_of
 from .run_loop import Course, RunLoop
-from .whole_program import in_one_program, in_one_program_or_not
+from .whole_program import Whole, in_one_program, in_one_program_or_not
 
 __all__ = [
+    "Bounds",
+    "Carried",
     "CotangentLoop",
     "Course",
     "LaneLoop",
+    "LaneMode",
     "Layout",
     "Looked",
+    "MemberLanes",
     "NoCompilerError",
     "Queue",
     "Rates",
@@ -27,8 +32,10 @@ __all__ = [
     "Stops",
     "TangentLoop",
     "Way",
+    "Whole",
     "check_usable",
     "in_one_program",
     "in_one_program_or_not",
+    "with_known_zeros",
     "zeros_of",
 ]

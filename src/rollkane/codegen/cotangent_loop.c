@@ -1,5 +1,5 @@
-/* Cotangents of a motion's states, back along its steps, called from XLA. Before this
- * text: along_steps.h, and generated VARIED (numbers that are asked for, apart from the
+/* Cotangents of a motion's states, back along its steps, called from XLA; of a batch on
+ * every processor. Before this text: along_steps.h, threads.h, and generated VARIED (numbers that are asked for, apart from the
  * state), BETWEEN (steps from one recorded state to the next), STAGES, NUMBERS and
  * BACK_NUMBERS (that prepare and prepare_back leave), and prepare, rates, prepare_back,
  * rates_back, advance, retreat.
@@ -53,16 +53,19 @@ static void pull(const Way *way, const real *shared, const real *kept, const rea
         }
 }
 
+static void pull_member(void *job, long b) {
+    const Call *call = job;
+    const Way way = way_of(call, WAY_AT, b);
+    real *back = wanted(call, 0, b), *of_varied = wanted(call, 1, b);
+    memcpy(back, member(call, LAST_AT, b), N * sizeof(real));
+    pull(&way, member(call, SHARED_AT, b), member(call, KEPT_AT, b),
+         member(call, COTANGENTS_AT, b), back, of_varied);
+}
+
 void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 2, 2, 1, 1, 0, 0, 1, 1};
     Call call;
     if (!received(frame, axes, 1, &call)) return NULL;
-    for (long b = 0; b < call.batch; b++) {
-        const Way way = way_of(&call, WAY_AT, b);
-        real *back = wanted(&call, 0, b), *of_varied = wanted(&call, 1, b);
-        memcpy(back, member(&call, LAST_AT, b), N * sizeof(real));
-        pull(&way, member(&call, SHARED_AT, b), member(&call, KEPT_AT, b),
-             member(&call, COTANGENTS_AT, b), back, of_varied);
-    }
+    in_parallel(pull_member, &call, call.batch);
     return NULL;
 }

@@ -19,6 +19,7 @@ from .runge_kutta_source import of_bearable_length, pull_source, push_source
 from .tableau import Weights
 
 _MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
+_ALONG = "along_steps.h", "threads.h"
 
 
 class Way(NamedTuple):
@@ -77,7 +78,12 @@ class TangentLoop:
         head = _sizes(rates, state) | {"ROWS": made.functions.rows}
         head["NUMBERS"] = made.functions.numbers
         texts = made.functions.text, push_source(rates.weights)
-        parts = "along_steps.h", *of_bearable_length(texts), "tangent_loop.c"
+        parts = (
+            "along_steps.h",
+            "threads.h",
+            *of_bearable_length(texts),
+            "tangent_loop.c",
+        )
         self._call = XlaCall(state.dtype, self._lanes, head, parts)
 
     def __call__(
@@ -141,7 +147,12 @@ class CotangentLoop:
         head["NUMBERS"] = made.functions.numbers
         head["BACK_NUMBERS"] = made.back.numbers
         texts = made.functions.text, made.back.text, pull_source(rates.weights)
-        parts = "along_steps.h", *of_bearable_length(texts), "cotangent_loop.c"
+        parts = (
+            "along_steps.h",
+            "threads.h",
+            *of_bearable_length(texts),
+            "cotangent_loop.c",
+        )
         self._call = XlaCall(state.dtype, 1, head, parts)
 
     def __call__(

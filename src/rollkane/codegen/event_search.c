@@ -1,11 +1,10 @@
 /* Search for steps that end on events: by inverse interpolation within a bracket, as
- * integration/event_search.py has it. Before this text: rows.h, and generated EVENTS (how
+ * integration/event_search.py has it. Before this text: lane_math.h, and generated EVENTS (how
  * many), EVENT_CAPACITY (places of all that are kept), EVENT_CLOSE, EVENT_START, EVENT_FLAT,
  * EVENT_HALVES, EVENT_TRIES (see event_layout.py), event_way, event_ends, event_most,
  * event_first (of each), and prepare_events and rates_events, which gives the rates and
  * their values.
  */
-#define EPSILON (REAL_IS_DOUBLE ? (real)0x1p-52 : sizeof(real) == 4 ? (real)0x1p-23 : (real)0x1p-63)
 
 typedef struct {
     real zero[EVENTS], mean[EVENTS];    /* times of the last zeros; rates over the whole step */

@@ -1,4 +1,4 @@
-/* Many motions in one loop over lanes. Before this text: rows.h, and generated N (numbers
+/* Many motions in one loop over lanes. Before this text: lane_math.h, and generated N (numbers
  * of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS (that
  * prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
  * plane vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
@@ -54,27 +54,6 @@ typedef struct {
     Search search[LANES];
 #endif
 } Lanes;
-
-/* x^(-1/ORDER) for 1e-12 < x < 1e12: Newton's method, from what the bits of a floating
- * point number are: its logarithm to base 2 within 0.087. So the guess is within
- * 2^(0.087 (1 + 1/ORDER)), 9 % at most, and an error e becomes (ORDER + 1) / 2 e^2: below
- * 1e-16 after six times for the orders 3 to 8. */
-INLINE row root(row x) {
-#if ONE_LANE
-    return C(pow)(x, (real)-1 / ORDER); /* a shorter chain */
-#else
-    const real one = REAL_IS_DOUBLE ? (real)4607182418800017408.0 : (real)1065353216.0;
-    const row bits = __builtin_convertvector((mask)x, row);
-    const row guess = one * ((real)1 + (real)1 / ORDER) - bits * ((real)1 / ORDER);
-    row r = (row)__builtin_convertvector(guess, mask);
-    for (int i = 0; i < 6; i++) {
-        row p = x;
-        for (int j = 0; j < ORDER; j++) p *= r;
-        r *= (real)1 + ((real)1 - p) / (real)ORDER;
-    }
-    return r;
-#endif
-}
 
 /* End of a step: the goal, or half the way to it where one step would fall short. On the
  * way to an only goal, like diffrax, the goal where the step would lead past it. */

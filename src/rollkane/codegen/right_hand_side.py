@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
@@ -26,7 +27,7 @@ from .scalar_source import (
 
 # A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
-_WITH_EVENTS = "event_search.c", "lane_loop.c"
+_WITH_EVENTS = "lane_math.h", "event_search.c", "lane_loop.c"
 # Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
 _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 
@@ -34,18 +35,37 @@ _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 def zeros_of(x: Any) -> bytes:
     """Which numbers of an array are zero, one byte for each.
 
-    No bytes if it is traced, or too large for its zeros to be its structure.
+    No bytes if it is none, is traced, or too large for its zeros to be its structure.
     """
     seen = _zeros.get(id(x))
     if seen is not None and seen[0]() is x:
         return seen[1]
-    if is_traced(x) or np.size(x) > _MOST_ZEROS:
+    if not hasattr(x, "dtype") or is_traced(x) or np.size(x) > _MOST_ZEROS:
         return b""
     found = (np.asarray(x) == 0).tobytes()
     if isinstance(x, jax.Array):
         key = id(x)
         _zeros[key] = weakref.ref(x, lambda _: _zeros.pop(key, None)), found
     return found
+
+
+def with_known_zeros(tree: Any, zeros: Sequence[bytes]) -> Any:
+    """A tree of arrays whose zeros a program in C knows.
+
+    Args:
+        tree: Whose arrays may be traced.
+        zeros: Of each of them, by :func:`zeros_of` before they were.
+    """
+    leaves, structure = cast("tuple[list[Any], Any]", jax.tree.flatten(tree))
+
+    def known(x: Any, which: bytes) -> Any:
+        mask = np.frombuffer(which, bool)
+        if not mask.any():
+            return x
+        none = np.zeros(x.shape, x.dtype)
+        return jnp.where(mask.reshape(x.shape), none, jnp.asarray(x))
+
+    return jax.tree.unflatten(structure, list(map(known, leaves, zeros)))
 
 
 class Looked(NamedTuple):
@@ -110,7 +130,7 @@ class Source(NamedTuple):
     @property
     def loop(self) -> tuple[str, ...]:
         """The files of the loop over lanes."""
-        return ("lane_loop.c",) if self.events is None else _WITH_EVENTS
+        return ("lane_math.h", "lane_loop.c") if self.events is None else _WITH_EVENTS
 
 
 def lanes_source(
@@ -139,26 +159,12 @@ def lanes_source(
         NotElementwiseError: more than arithmetic on single numbers.
     """
     zeros = [b""] * len(leaves) if zeros is None else zeros
-    stage = "row t, const row *restrict y, const row *restrict own"
-
-    def written(
-        function: Callable[..., Any], further: int, ending: str, *names: str
-    ) -> tuple[Functions, list[Array], int]:
-        time = jax.ShapeDtypeStruct((), state.dtype)
-        program = Program(function, time, state, *leaves)
-        statements = Statements()
-        values, size = _of_lanes(state, leaves, own, zeros)
-        closed, traced = _closed(program, size + further, state.dtype)
-        found = program(values, statements.operate, closed)
-        results = [Result(*pair, row=True) for pair in zip(names, found, strict=True)]
-        made = as_functions(statements, stage, results, ending)
-        return made, traced, found[0].size
-
-    made, traced, _ = written(derivative, 0, "", "d")
+    lanes = _Lanes(state, leaves, own, zeros)
+    made, traced, _ = lanes.written(derivative, 0, "", "d")
     source = Source(made, traced)
     if watch is not None:
         behind = sum(math.prod(x.shape) for x in traced)
-        watched, more, size = written(watch, behind, "_watch", "d")
+        watched, more, size = lanes.written(watch, behind, "_watch", "d")
         closed = [*traced, *more]
         source = Source(made, closed, watch=watched, watched=size // 2)
     if events is None:
@@ -168,29 +174,88 @@ def lanes_source(
     def both(*given: Any) -> tuple[Array, Array]:  # of a step's last stage
         return derivative(*given), events.values(*given)
 
-    seen, more, _ = written(both, behind, "_events", "d", "seen")
+    seen, more, _ = lanes.written(both, behind, "_events", "d", "seen")
     closed = [*source.closed, *more]
     return source._replace(closed=closed, events=seen, layout=events.layout)
 
 
-def _of_lanes(
-    state: Shaped, leaves: Sequence[Shaped], own: list[bool], zeros: Sequence[bytes]
-) -> tuple[list[Numbers], int]:
-    """Time, state and leaves as symbols, and how many numbers all lanes share."""
-    values = [symbols(["t"], (), row=True), array("y", state.shape, row=True)]
-    places = {"own": 0, "shared": 0}
-    for leaf, differs, nothing in zip(leaves, own, zeros, strict=True):
-        if not np.issubdtype(leaf.dtype, np.floating):
-            raise NotElementwiseError("a model with whole numbers")
-        name = "own" if differs else "shared"
-        # a lane takes the next motion in the middle of the others' runs
-        numbers = array(name, leaf.shape, places[name], row=differs, fixed=not differs)
-        for i, is_zero in enumerate(nothing):
-            if is_zero:
-                numbers.reshape(-1)[i] = leaf.dtype.type(0)
-        values.append(numbers)
-        places[name] += math.prod(leaf.shape)
-    return values, places["shared"]
+class _Lanes(NamedTuple):
+    """What functions of rows of motions are given; see :func:`lanes_source`."""
+
+    state: Shaped
+    leaves: Sequence[Shaped]
+    own: list[bool]
+    zeros: Sequence[bytes]
+
+    def written(
+        self, function: Callable[..., Any], further: int, ending: str, *names: str
+    ) -> tuple[Functions, list[Array], int]:
+        """A function in C, what it closes over, and of how many numbers is its first.
+
+        Args:
+            function: ``function(t, y, *leaves)`` -> arrays of these names.
+            further: Numbers behind those of the leaves, before what it closes over.
+            ending: Of its name in C.
+            names: Of its results.
+        """
+        dtype = self.state.dtype
+        time = jax.ShapeDtypeStruct((), dtype)
+        program = Program(function, time, self.state, *self.leaves)
+        statements = Statements()
+        values, size = self._symbols()
+        closed, traced = _closed(program, size + further, dtype)
+        found = program(values, statements.operate, closed)
+        results = [Result(*pair, row=True) for pair in zip(names, found, strict=True)]
+        stage = "row t, const row *restrict y, const row *restrict own"
+        made = as_functions(statements, stage, results, ending)
+        return made, traced, found[0].size
+
+    def _symbols(self) -> tuple[list[Numbers], int]:
+        """Time, state and leaves as symbols, and how many numbers all lanes share."""
+        values = [symbols(["t"], (), row=True), array("y", self.state.shape, row=True)]
+        places = {"own": 0, "shared": 0}
+        parts = zip(self.leaves, self.own, self.zeros, strict=True)
+        for leaf, differs, nothing in parts:
+            if not np.issubdtype(leaf.dtype, np.floating):
+                raise NotElementwiseError("a model with whole numbers")
+            name = "own" if differs else "shared"
+            # a lane takes the next motion in the middle of the others' runs
+            first, fixed = places[name], not differs
+            numbers = array(name, leaf.shape, first, row=differs, fixed=fixed)
+            for i, is_zero in enumerate(nothing):
+                if is_zero:
+                    numbers.reshape(-1)[i] = leaf.dtype.type(0)
+            values.append(numbers)
+            places[name] += math.prod(leaf.shape)
+        return values, places["shared"]
+
+
+def stages_source(
+    function: Callable[..., Any],
+    state: Shaped,
+    leaves: Sequence[Shaped],
+    own: list[bool],
+    ending: str,
+) -> Functions:
+    """A right-hand side for a row of motions, and what else is seen at every stage.
+
+    Args:
+        function: ``function(t, y, *leaves)`` -> rates of y's first numbers, and what is
+            seen.
+        state: Shape and type of y.
+        leaves: Shapes and types of the model's leaves for one motion.
+        own: Which of them differ from motion to motion.
+        ending: Of the functions' names in C.
+
+    Raises:
+        NotElementwiseError: more than arithmetic on single numbers, or on numbers that
+            the function closes over and that are not known.
+    """
+    lanes = _Lanes(state, leaves, own, [b""] * len(leaves))
+    made, traced, _ = lanes.written(function, 0, ending, "d", "seen")
+    if traced:
+        raise NotElementwiseError("numbers that a function closes over")
+    return made
 
 
 def tangents_source(

@@ -1,6 +1,6 @@
 """Steps of Runge-Kutta methods in C, around a right-hand side's functions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 
 from .scalar_program import NotElementwiseError
@@ -55,6 +55,56 @@ def attempt_source(weights: Weights) -> str:
         "#endif",
         f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});",
     ]
+    return "\n".join([*lines, "}"])
+
+
+def watched_attempt_source(
+    weights: Weights, mode: int, beside: Sequence[tuple[float, Sequence[float]]]
+) -> str:
+    """Stages and error of a pair in C for lanes of a mode, ``attempt_0``, ...
+
+    With what is seen at each stage but the first; and ``beside_0``, which sees the same
+    on a step that is done, at shares of it.
+
+    Args:
+        weights: Of the pair.
+        mode: Its number.
+        beside: Those shares, each with the weights of the rates to there.
+    """
+    known = "const real *restrict shared, const row *restrict own"
+    known += ", const real *restrict u, const row *restrict v"
+    given, each = "own, shared, NULL, u, v", f"for (int c = 0; c < ACTIVE_{mode}; c++)"
+    rest = f"for (int c = ACTIVE_{mode}; c < GIVEN_{mode}; c++)"
+    lines = [
+        f"static void attempt_{mode}(row t, row t_end, row h, const row *restrict y,",
+        f"    {known},",
+        "    const real *restrict end_u, const row *restrict end_v,",
+        f"    row k[][ACTIVE_{mode}], row *restrict y_new, row *restrict error,",
+        "    row seen[][3]) {",
+    ]
+    last = len(weights.rows)
+    for i, (stage, time) in enumerate(_stages(weights), 1):
+        call = f"rates_{mode}({time}, y_new, {given}"
+        if i == last:
+            call = f"rates_end_{mode}({time}, y_new, own, shared, NULL, end_u, end_v"
+        lines += [
+            f"{each} y_new[c] = y[c] + h * ({_weighted('k', stage)});",
+            f"{call}, k[{i}], seen[{i}]);",
+        ]
+    lines += [
+        f"{each} error[c] = h * ({_weighted('k', weights.error)});",
+        "}",
+        f"static void beside_{mode}(row t, row h, const row *restrict y,",
+        f"    {known},",
+        f"    row k[][ACTIVE_{mode}], row seen[][3]) {{",
+        f"row at[GIVEN_{mode}], rates[ACTIVE_{mode}];",
+        f"{rest} at[c] = y[c];",
+    ]
+    for i, (share, row) in enumerate(beside, len(weights.rows) + 1):
+        lines += [
+            f"{each} at[c] = y[c] + h * ({_weighted('k', tuple(row))});",
+            f"rates_{mode}(t + h * {_weight(share)}, at, {given}, rates, seen[{i}]);",
+        ]
     return "\n".join([*lines, "}"])
 
 

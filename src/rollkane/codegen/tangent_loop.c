@@ -1,9 +1,9 @@
 /* Changes of a motion's states along its steps, called from XLA. Before this text:
- * along_steps.h, and generated VARIED (numbers that change, apart from the state), NUMBERS
- * and ROWS (that prepare leaves for rates), and prepare, rates, advance.
+ * along_steps.h, threads.h, and generated VARIED (numbers that change, apart from the
+ * state), NUMBERS and ROWS (that prepare leaves for rates), and prepare, rates, advance.
  *
  * A row holds one number for each of LANES changes; where there are more, the motion is
- * gone through again for the next.
+ * gone through again for the next, by another processor as each member of a batch.
  */
 
 enum { SHARED_AT, TANGENTS_AT, Y_AT, DY_AT, WAY_AT };
@@ -33,25 +33,32 @@ static void push(const Way *way, const real *shared, const row *tangents, real *
     }
 }
 
+/* So many rows of changes has each member. */
+static long groups_of(const Call *call) {
+    const Buffer *changes = &call->given[DY_AT];
+    return changes->dims[changes->leads];
+}
+
+static void push_group(void *job, long part) {
+    const Call *call = job;
+    const long b = part / groups_of(call), g = part % groups_of(call);
+    const Way way = way_of(call, WAY_AT, b);
+    /* XLA's buffers need not begin where rows may */
+    row tangents[VARIED + 1], dy[N];
+    real y[N];
+    memcpy(tangents, member(call, TANGENTS_AT, b) + g * VARIED * LANES,
+           VARIED * sizeof(row));
+    memcpy(dy, member(call, DY_AT, b) + g * N * LANES, sizeof dy);
+    memcpy(y, member(call, Y_AT, b), sizeof y);
+    push(&way, member(call, SHARED_AT, b), tangents, y, dy,
+         wanted(call, 0, b) + g * way.output_count * N * LANES);
+    memcpy(wanted(call, 1, b) + g * N * LANES, dy, sizeof dy);
+}
+
 void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 3, 1, 3, 1, 0, 0, 1, 1};
     Call call;
     if (!received(frame, axes, 4, &call)) return NULL;
-    const Buffer *changes = &call.given[DY_AT];
-    const long groups = changes->dims[changes->leads];
-    for (long b = 0; b < call.batch; b++)
-        for (long g = 0; g < groups; g++) {
-            const Way way = way_of(&call, WAY_AT, b);
-            /* XLA's buffers need not begin where rows may */
-            row tangents[VARIED + 1], dy[N];
-            real y[N];
-            memcpy(tangents, member(&call, TANGENTS_AT, b) + g * VARIED * LANES,
-                   VARIED * sizeof(row));
-            memcpy(dy, member(&call, DY_AT, b) + g * N * LANES, sizeof dy);
-            memcpy(y, member(&call, Y_AT, b), sizeof y);
-            push(&way, member(&call, SHARED_AT, b), tangents, y, dy,
-                 wanted(&call, 0, b) + g * way.output_count * N * LANES);
-            memcpy(wanted(&call, 1, b) + g * N * LANES, dy, sizeof dy);
-        }
+    in_parallel(push_group, &call, call.batch * groups_of(&call));
     return NULL;
 }

@@ -3,7 +3,7 @@
 import itertools
 import os
 from collections.abc import Callable, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -42,19 +42,12 @@ def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
         NotElementwiseError: an operation that is not written in C.
         NoCompilerError: no C compiler.
     """
-    arrays, fixed = cast("tuple[Any, Any]", eqx.partition(arguments, eqx.is_array))
-
-    def whole(arrays: Any) -> Any:
-        return function(*eqx.combine(arrays, fixed))
-
-    closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
-    given = [x for x in closed.consts if is_traced(x)] + jax.tree.leaves(arrays)
-    consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
-    reals = (x.dtype for x in given if jnp.issubdtype(x.dtype, np.floating))
-    dtype = np.dtype(next(reals, jnp.result_type(float)))
-    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(like))
-    call, shapes = _compiled(closed.jaxpr, consts, dtype)
-    return jax.tree.unflatten(tree, _called(call, shapes, given, leaves, dtype))
+    whole = Whole.of(function, *arguments)
+    parts = *whole.parts, "threads.h", "program_call.c"
+    call = XlaCall(whole.dtype, 1, whole.head, parts, whole.further, whole.effort)
+    given = whole.given(jax.tree.leaves(eqx.filter(arguments, eqx.is_array)))
+    handed = [in_one(given.small, whole.dtype), *given.large]
+    return whole.result(call(whole.shapes, *handed))
 
 
 def in_one_program_or_not(function: Callable[..., Any], *arguments: Any) -> Any:
@@ -65,35 +58,110 @@ def in_one_program_or_not(function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
 
 
-def _called(
-    call: XlaCall,
-    shapes: list[tuple[int, ...]],
-    given: list[Array],
-    leaves: list[Any],
-    dtype: np.dtype,
-) -> list[Array]:
-    """The results of a call, with their shapes and types."""
-    given = [jnp.asarray(x).astype(dtype).reshape(-1) for x in given]
-    small = [x for x in given if x.size <= SMALL]
-    handed = [in_one(small, dtype), *(x for x in given if x.size > SMALL)]
-    first, *large = call(tuple(shapes), *handed)
-    found: list[Array] = []
-    at = 0
-    rest = iter(large)
-    for leaf in leaves:
-        if leaf.size <= SMALL:
-            numbers = first[at : at + leaf.size]
-            at += leaf.size
-        else:
-            numbers = next(rest)
-        found.append(numbers.reshape(leaf.shape).astype(leaf.dtype))
-    return found
+class Given(NamedTuple):
+    """What a program is given: small arrays, which go in one, and the others, flat."""
+
+    small: list[Array]
+    large: list[Array]
 
 
-def _compiled(
+class Whole(NamedTuple):
+    """A function of trees with arrays, written in C.
+
+    Attributes:
+        dtype: Of all numbers.
+        head: Names of whole numbers that its texts know.
+        parts: Files and texts up to the one with ``run``.
+        further: Those of texts that are compiled by themselves.
+        effort: Of the compiler.
+        closed: Traced arrays that the function closes over.
+        taken: Shapes of its arguments' arrays.
+        results: Shapes and types of what it gives, in order, and their structure.
+    """
+
+    dtype: np.dtype
+    head: dict[str, int]
+    parts: tuple[str, ...]
+    further: tuple[tuple[str, ...], ...]
+    effort: str
+    closed: list[Array]
+    taken: list[tuple[int, ...]]
+    results: tuple[list[Any], Any]
+
+    @staticmethod
+    def of(function: Callable[..., Any], *arguments: Any) -> "Whole":
+        """The program of a function.
+
+        Args:
+            function: Of trees with arrays, to a tree of arrays; pure.
+            arguments: Those trees; of arrays shapes and types are enough.
+
+        Raises:
+            NotElementwiseError: an operation that is not written in C.
+        """
+        arrays, fixed = cast("tuple[Any, Any]", eqx.partition(arguments, _is_shaped))
+
+        def whole(arrays: Any) -> Any:
+            return function(*eqx.combine(arrays, fixed))
+
+        closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
+        traced = [x for x in closed.consts if is_traced(x)]
+        consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
+        given = (x.dtype for x in [*traced, *jax.tree.leaves(arrays)])
+        reals = (x for x in given if jnp.issubdtype(x, np.floating))
+        dtype = np.dtype(next(reals, jnp.result_type(float)))
+        results = cast("tuple[list[Any], Any]", jax.tree.flatten(like))
+        head, texts = _written(closed.jaxpr, consts, dtype)
+        begins, *others, last = texts
+        further = tuple(("rows.h", "program.h", begins, text) for text in others)
+        long = begins.count("\n") + sum(text.count("\n") for text in (*others, last))
+        effort = "-O1" if long > _LONG else "-O2"
+        parts = "program.h", begins, last
+        taken = [x.shape for x in jax.tree.leaves(arrays)]
+        how = dtype, head, parts, further, effort
+        return Whole(*how, traced, taken, results)
+
+    @property
+    def shapes(self) -> tuple[tuple[int, ...], ...]:
+        """Of what it leaves: all small results in one array, each other flat."""
+        sizes = [leaf.size for leaf in self.results[0]]
+        small = sum(size for size in sizes if size <= SMALL)
+        return (small,), *((size,) for size in sizes if size > SMALL)
+
+    def given(self, arrays: Sequence[Array]) -> Given:
+        """What it is given of the arrays of its arguments, in order."""
+        flat = [
+            jnp.asarray(x).astype(self.dtype).reshape(-1)
+            for x in (*self.closed, *arrays)
+        ]
+        small = [x for x in flat if x.size <= SMALL]
+        return Given(small, [x for x in flat if x.size > SMALL])
+
+    def result(self, left: Sequence[Array]) -> Any:
+        """The function's result, of what the program leaves; with a batch's axes."""
+        first, *large = left
+        found: list[Array] = []
+        at = 0
+        rest = iter(large)
+        for leaf in self.results[0]:
+            if leaf.size <= SMALL:
+                numbers = first[..., at : at + leaf.size]
+                at += leaf.size
+            else:
+                numbers = next(rest)
+            shape = *first.shape[:-1], *leaf.shape
+            found.append(numbers.reshape(shape).astype(leaf.dtype))
+        return jax.tree.unflatten(self.results[1], found)
+
+
+def _is_shaped(x: Any) -> bool:
+    return eqx.is_array(x) or isinstance(x, jax.ShapeDtypeStruct)
+
+
+def _written(
     jaxpr: Jaxpr, consts: list[np.ndarray | None], dtype: np.dtype
-) -> tuple[XlaCall, list[tuple[int, ...]]]:
-    """The program, and the shapes of its results."""
+) -> tuple[dict[str, int], list[str]]:
+    """The program's sizes, and its texts; see :func:`_texts`."""
     walk = Structured(dtype)
     closed, values, count = _given(walk.writer, jaxpr, consts)
     homes = _homes([v.aval for v in jaxpr.outvars])
@@ -101,20 +169,11 @@ def _compiled(
     walk.homes = {v: home for v, home in pairs if home and jaxpr.outvars.count(v) == 1}
     with np.errstate(all="ignore"):  # known numbers may overflow, as XLA's do
         found = walk.through(jaxpr, closed, values)
-    size = _leave(walk, found, homes)
-    shapes = [(size,), *((home.size,) for home in homes if home is not None)]
+    _leave(walk, found, homes)
+    left = 1 + sum(home is not None for home in homes)
     writer = walk.writer
-    head = {
-        "MOST_GIVEN": count,
-        "MOST_RESULTS": len(shapes),
-        "WORKSPACE": writer.workspace,
-    }
-    begins, *others, last = _texts(writer, count, len(shapes))
-    parts = "program.h", begins, last, "threads.h", "program_call.c"
-    more = tuple(("rows.h", "program.h", begins, text) for text in others)
-    long = begins.count("\n") + sum(text.count("\n") for text in (*others, last))
-    effort = "-O1" if long > _LONG else "-O2"
-    return XlaCall(dtype, 1, head, parts, more, effort), shapes
+    head = {"MOST_GIVEN": count, "MOST_RESULTS": left, "WORKSPACE": writer.workspace}
+    return head, _texts(writer, count, left)
 
 
 def _given(
@@ -160,8 +219,8 @@ def _homes(results: Sequence[Aval]) -> list[Memory | None]:
     ]
 
 
-def _leave(walk: Structured, found: list[Value], homes: list[Memory | None]) -> int:
-    """Write the results there; gives how many numbers the smaller ones are."""
+def _leave(walk: Structured, found: list[Value], homes: list[Memory | None]) -> None:
+    """Write the results there; the smaller ones one behind the other."""
     place = 0
     for x, home in zip(map(walk.numbers, found), homes, strict=True):
         if home is not None:
@@ -171,7 +230,6 @@ def _leave(walk: Structured, found: list[Value], homes: list[Memory | None]) -> 
         for number in x.reshape(-1):
             walk.writer.line(f"o0[{place}] = (real)({in_c(number).text});")
             place += 1
-    return place
 
 
 def _texts(writer: Writer, given: int, left: int) -> list[str]:

@@ -17,7 +17,6 @@ from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .abstract_supported import AbstractSupported, rolling_parts
 from .carried import without_columns
-from .contact_laws import Solution, momentum_rate
 from .coordinate_functions import FEW
 from .mass_matrix import (
     Masses,
@@ -27,6 +26,7 @@ from .mass_matrix import (
     of_the_body,
     with_generalized,
 )
+from .momentum import Solution, momentum_rate
 from .scene import Scene
 from .supported import total
 

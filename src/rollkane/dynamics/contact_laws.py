@@ -13,83 +13,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import tangent_pair
-from ..geometry.small_linear import components, cross, dot, matvec_transposed, solve_spd
+from ..geometry.small_linear import (
+    Entry,
+    Solver,
+    components,
+    cross,
+    dot,
+    factored_spd,
+    matvec_transposed,
+    solve_spd,
+)
 from ..kinematics.contact import Contact
 from ..validation.checks import FieldError
 from .directed_friction import Balance, DirectedFriction, first_way
 from .mass_matrix import System
+from .momentum import (
+    Solution,
+    coupled_along,
+    coupled_along_axes,
+    momentum_rate,
+    with_point,
+)
 from .scene import Scene, Slipping
-from .supported import total
-
-
-class Solution(NamedTuple):
-    """Accelerations at one instant, vectors on BODY axes.
-
-    Attributes:
-        angular_acceleration: ``w'`` [rad/s^2].
-        alpha_ddot: [unit of alpha / s^2], shape (n,).
-        slip_acceleration: Part of the acceleration of the body's point at the contact
-            that the forces determine, along the surface [m/s^2]; None: it rolls.
-        moment: Of the contact on the body [N m]; None: none.
-        margin: What the normal force is divided by [1]; where it is not positive no
-            normal force fits (Painleve); None: nothing is proportional to it.
-        turn: Slip times the rate at which friction turns it [m/s^2]; None: not asked.
-    """
-
-    angular_acceleration: Float[Array, "3"]
-    alpha_ddot: Float[Array, " n"]
-    slip_acceleration: Float[Array, "3"] | None = None
-    moment: Float[Array, "3"] | None = None
-    margin: Float[Array, ""] | None = None
-    turn: Float[Array, ""] | None = None
-
-
-class Momentum(NamedTuple):
-    """Rate of the momentum, ``K + w' x S + columns alpha''``, on body axes.
-
-    Attributes:
-        mass: Of everything [kg].
-        first_moment: ``S = sum m s`` about the contact point [kg m].
-        known: K less the loads' forces [N]: what the contact force is without w',
-            alpha'' and slip acceleration.
-        columns: ``sum m dr/dalpha`` for each coordinate [kg m per unit].
-    """
-
-    mass: Float[Array, ""]
-    first_moment: Float[Array, "3"]
-    known: Float[Array, "3"]
-    columns: list[Float[Array, "3"]]
-
-    def force(self, solution: Solution) -> Float[Array, "3"]:
-        """Contact force ``Rc = dP/dt - F`` [N], (6.2)."""
-        value = self.known + cross(solution.angular_acceleration, self.first_moment)
-        for column, rate in zip(
-            self.columns, components(solution.alpha_ddot), strict=True
-        ):
-            value = value + rate * column
-        if solution.slip_acceleration is not None:
-            value = value + self.mass * solution.slip_acceleration
-        return value
-
-
-def momentum_rate(scene: Scene, contact: Contact, system: System) -> Momentum:
-    """The rate of the momentum, as far as it is known, and what multiplies the rest.
-
-    Source: docs/theory.md, (6.2).
-    """
-    w, c, mass = contact.angular_velocity, system.arm, scene.body.mass
-    first = mass * c
-    known = mass * (cross(w, cross(w, c)) + system.proper)
-    if system.force is not None:
-        known = known - system.force
-    columns: list[Array] = []
-    for part, s, drive, _ in system.masses:
-        m = part.mass[None]
-        first = first + total(m * s)
-        known = known + total(drive)
-        columns += [total(m * u) for u in part.partials]
-        mass = mass + jnp.sum(part.mass)
-    return Momentum(mass, first, known, columns)
 
 
 def accelerations(
@@ -126,9 +71,9 @@ def accelerations(
         pushes.append(push._replace(one_sided=law.one_sided))
     if not pushes:
         return _parted(solve_spd(system.rows, system.rhs))
-    x, multipliers, margin = _solve(system.rows, system.rhs, pushes)
+    x, multipliers, margin = _solve(factored_spd(system.rows), system.rhs, pushes)
     torques = [
-        z * jnp.stack(push.force[:3])
+        z * jnp.stack([x for x in push.force[:3] if x is not None])
         for z, push in zip(multipliers, pushes, strict=True)
     ]
     return _parted(x)._replace(moment=sum(torques[1:], torques[0]), margin=margin)
@@ -137,12 +82,13 @@ def accelerations(
 class _Push(NamedTuple):
     """A force of unknown size z, and the condition ``row . x + own z = value``.
 
-    ``force`` and ``row`` have one entry for each acceleration; ``signed`` says that z
-    is a normal force, whose friction acts with its size, but for ``one_sided``.
+    ``force`` and ``row`` have one entry for each acceleration, None where it is zero;
+    ``signed`` says that z is a normal force, whose friction acts with its size, but for
+    ``one_sided``.
     """
 
-    force: list[Array]
-    row: list[Array]
+    force: list[Entry]
+    row: list[Entry]
     own: float
     value: Array
     signed: bool
@@ -158,7 +104,7 @@ def _against_spin(contact: Contact, count: int) -> _Push:
     if base is not None and base.angular_acceleration is not None:
         turned = matvec_transposed(contact.to_base, base.angular_acceleration)
         value = value + dot(N, turned)
-    column = [*components(N), *[jnp.zeros_like(value)] * (count - 3)]
+    column = [*components(N), *[None] * (count - 3)]
     return _Push(column, column, 0.0, value, False)
 
 
@@ -167,16 +113,16 @@ def _by_normal_force(
     contact: Contact,
     system: System,
     moment: Float[Array, "3"] | None,
-    along: list[Array],
+    shares: Sequence[Entry],
 ) -> _Push:
     """What is proportional to the normal force ``N = -Rc . N``, for one newton."""
     P = momentum_rate(scene, contact, system)
     N = contact.normal
-    zero = jnp.zeros_like(P.mass)
-    torque = [zero] * 3 if moment is None else components(moment)
+    torque = [None] * 3 if moment is None else components(moment)
     row = [*components(cross(P.first_moment, N)), *(dot(u, N) for u in P.columns)]
-    force = [*torque, *([zero] * len(P.columns)), *along]
-    return _Push(force, row + [zero] * len(along), 1.0, -dot(P.known, N), True)
+    force = [*torque, *[None] * len(P.columns), *shares]
+    whole = [*row, *[None] * len(shares)]
+    return _Push(force, whole, 1.0, -dot(P.known, N), True)
 
 
 def _slipping(
@@ -188,24 +134,24 @@ def _slipping(
     assert isinstance(scene.contact, Slipping)
     assert slip is not None
     friction = scene.contact.friction
-    zero = jnp.zeros_like(P.mass)
     pair = tangent_pair(contact.normal)
     push = -P.known
     by_itself = friction.force(slip)
     if by_itself is not None:
         push = push + by_itself
-    rows, rhs = _with_point(P, system, pair, push)
+    solve = with_point(P, system, coupled_along(P, pair))
+    rhs = [*system.rhs, *(dot(push, e) for e in pair)]
     ratio = friction.ratio(slip)
     margin = moment = turn = None
     if ratio is None and resisting is None:
-        x = solve_spd(rows, rhs)
+        x = solve(rhs)
     else:
-        along = [zero, zero] if ratio is None else [dot(ratio, e) for e in pair]
-        push = _by_normal_force(scene, contact, system, resisting, along)
+        shares = [None, None] if ratio is None else [dot(ratio, e) for e in pair]
+        push = _by_normal_force(scene, contact, system, resisting, shares)
         push = push._replace(one_sided=friction.one_sided)
-        if isinstance(friction, DirectedFriction):
-            push, turn = _as_it_begins(friction, rows, rhs, push, pair)
-        x, (N,), margin = _solve(rows, rhs, [push])
+        if isinstance(friction, DirectedFriction) and friction.decides:
+            push, turn = _as_it_begins(friction, solve, rhs, push, pair)
+        x, (N,), margin = _solve(solve, rhs, [push])
         moment = None if resisting is None else N * resisting
         turn = None if turn is None else turn * jnp.abs(N)
     slid = x[-2] * pair[0] + x[-1] * pair[1]
@@ -215,7 +161,7 @@ def _slipping(
 
 def _as_it_begins(
     friction: DirectedFriction,
-    rows: list[list[Array]],
+    solve: Solver,
     rhs: list[Array],
     push: _Push,
     pair: tuple[Float[Array, "3"], Float[Array, "3"]],
@@ -226,12 +172,9 @@ def _as_it_begins(
     ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (8.5)).
     """
     mu, force = friction.coefficient, push.force
-    bare, rest = solve_spd(rows, rhs), [*force[:-2], *[jnp.zeros_like(mu)] * 2]
-    answer = solve_spd(rows, rest)
-    unit: Callable[[int], list[Array]] = lambda k: [
-        jnp.asarray(float(i == k), mu.dtype) for i in range(len(rows))
-    ]
-    columns = [solve_spd(rows, unit(len(rows) - k)) for k in (2, 1)]
+    bare, answer = solve(rhs), solve([*force[:-2], None, None])
+    one, others = jnp.ones_like(mu), [None] * (len(rhs) - 2)
+    columns = [solve([*others, *last]) for last in ((one, None), (None, one))]
     end: Callable[[list[Array]], Array] = lambda x: jnp.stack(x[-2:])
     value = push.value - _dot(push.row, bare)
     sense = 1.0 if push.one_sided else jnp.where(value < 0.0, -1.0, 1.0)
@@ -240,37 +183,23 @@ def _as_it_begins(
     own = push.own + sense * _dot(push.row, answer)
     w = sense * value
     M = mu * (w * A + b[:, None] * r[None])
+    turns = mu * (A[0, 0] + A[1, 1])
+    if friction.follows:
+        return push, turns
     balance = Balance(M, own * b + w * end(answer))
     known = jnp.stack([dot(friction.direction, e) for e in pair])
     begun = lambda: -mu * first_way(balance, known)
-    follows = lambda: jnp.stack(force[-2:])
+    follows = lambda: jnp.stack([x for x in force[-2:] if x is not None])
     along = cast(Array, jax.lax.cond(friction.begins, begun, follows))
     picked = [*force[:-2], *components(along)]
-    return push._replace(force=picked), mu * (A[0, 0] + A[1, 1])
-
-
-def _with_point(
-    P: Momentum,
-    system: System,
-    directions: Sequence[Float[Array, "3"]],
-    push: Float[Array, "3"],
-) -> tuple[list[list[Array]], list[Array]]:
-    """The system with accelerations of the reference point along directions."""
-    rows, rhs = [list(row) for row in system.rows], list(system.rhs)
-    zero = jnp.zeros_like(P.mass)
-    for m, e in enumerate(directions):
-        across = components(cross(P.first_moment, e))
-        own = [dot(u, e) for u in P.columns]
-        rows.append([*across, *own, *([zero] * m), P.mass])
-        rhs.append(dot(push, e))
-    return rows, rhs
+    return push._replace(force=picked), turns
 
 
 def _flying(scene: Scene, contact: Contact, system: System) -> Solution:
     """Three more accelerations: of the body origin, under the loads alone."""
     P = momentum_rate(scene, contact, system)
-    axes = list(jnp.eye(3, dtype=P.mass.dtype))
-    x = solve_spd(*_with_point(P, system, axes, -P.known))
+    solve = with_point(P, system, coupled_along_axes(P))
+    x = solve([*system.rhs, *components(-P.known)])
     return _parted(x[:-3])._replace(slip_acceleration=jnp.stack(x[-3:]))
 
 
@@ -290,12 +219,10 @@ class Response(NamedTuple):
 def impulse_response(scene: Scene, contact: Contact, system: System) -> Response:
     """Changes of all velocities by an impulse of the base on the body."""
     P = momentum_rate(scene, contact, system)
-    axes = list(jnp.eye(3, dtype=P.mass.dtype))
-    rows, _ = _with_point(P, system, axes, P.known)
-    zero, one = jnp.zeros_like(P.mass), jnp.ones_like(P.mass)
-    count = len(rows)
+    solve, one = with_point(P, system, coupled_along_axes(P)), jnp.ones_like(P.mass)
+    count = len(system.rows) + 3
     columns = [
-        jnp.stack(solve_spd(rows, [one if i == k else zero for i in range(count)]))
+        jnp.stack(solve([one if i == k else None for i in range(count)]))
         for k in range(count - 3, count)
     ]
     whole = jnp.stack(columns, axis=1)
@@ -315,15 +242,15 @@ def _resistance(scene: Scene, contact: Contact) -> Float[Array, "3"] | None:
 
 
 def _solve(
-    rows: list[list[Array]], rhs: list[Array], pushes: list[_Push]
+    solve: Solver, rhs: list[Array], pushes: list[_Push]
 ) -> tuple[list[Array], list[Array], Float[Array, ""] | None]:
     """Accelerations, sizes of the pushes, and the Painleve margin.
 
     The contact is bilateral: where it pulls, friction still acts against the motion,
     with the size of the normal force.
     """
-    bare = solve_spd(rows, rhs)
-    answers = [solve_spd(rows, push.force) for push in pushes]
+    bare = solve(rhs)
+    answers = [solve(push.force) for push in pushes]
 
     def sized(sense: float) -> tuple[list[Array], Array, Array]:
         """Sizes, what the normal force is a quotient of, and its divisor."""
@@ -369,6 +296,6 @@ def _solve(
     return x, effective, margin
 
 
-def _dot(a: list[Array], b: list[Array]) -> Array:
-    products = [x * y for x, y in zip(a, b, strict=True)]
+def _dot(a: Sequence[Entry], b: list[Array]) -> Array:
+    products = [x * y for x, y in zip(a, b, strict=True) if x is not None]
     return sum(products[1:], products[0])

@@ -51,11 +51,15 @@ class DirectedFriction(AbstractFriction):
         coefficient: mu [1].
         direction: d, BODY axes [1], shape (3,); of length 1/2: the slip only begins.
         lifts: Whether the run ends the contact where it would pull.
+        follows: Whether the slip is known not to begin: it has its direction.
+        turns: Whether it is asked how fast it turns.
     """
 
     coefficient: Array
     direction: Float[Array, "3"]
     lifts: bool = eqx.field(static=True)
+    follows: bool = eqx.field(static=True, default=False)
+    turns: bool = eqx.field(static=True, default=True)
 
     @property
     def one_sided(self) -> bool:
@@ -66,6 +70,11 @@ class DirectedFriction(AbstractFriction):
     def begins(self) -> Array:
         """Whether the slip only begins."""
         return begins(self.direction)
+
+    @property
+    def decides(self) -> bool:
+        """Whether more is asked than the force."""
+        return self.turns or not self.follows
 
     def ratio(self, slip: Float[Array, "3"]) -> Float[Array, "3"]:
         """``-mu V / |V|`` [1]."""

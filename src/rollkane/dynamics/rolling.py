@@ -5,20 +5,22 @@ alpha'', on body axes, about the contact point (docs/theory.md, (4.3)).
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import components, dot, matvec, matvec_transposed
 from ..kinematics.contact import Contact, body_to_base
-from ..kinematics.coordinates import Pair, SlidingState
+from ..kinematics.coordinates import Pair
 from ..kinematics.voronets import AnyState, VoronetsState
 from .abstract_supported import rates_of_rolling, rolling_parts
 from .condensation import condensed, condenses
-from .contact_laws import Solution, accelerations, momentum_rate
+from .contact_laws import accelerations
 from .mass_matrix import Masses, assemble
+from .momentum import Solution, momentum_rate
 from .scene import Scene
 
 # a run towards Painleve's paradox ends just before it, with the normal force growing
@@ -150,22 +152,39 @@ def _rates(scene: Scene, state: AnyState, found: Solved) -> AnyState:
     return state.rates(found.contact, w_dot, alpha_ddot[:n], slid, inner)
 
 
-def rates_and_force(
-    scene: Scene, t: Float[Array, ""], state: AnyState
-) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"]]:
-    """Rates of the state, and the contact force by :func:`press_and_pull`, at once."""
-    rates, contact, _, force = _solved(scene, t, state)
-    return rates, *_parted(contact, force)
+class AtContact(NamedTuple):
+    """What a run in modes asks of one instant.
+
+    Attributes:
+        rates: Of the state, as a state.
+        press: As of :func:`press_and_pull` [N].
+        pull: Likewise [N].
+        turn: Slip times the rate at which friction turns it [m/s^2]; zero: not asked.
+        margin: As of :func:`painleve_margin` [1].
+    """
+
+    rates: Any
+    press: Float[Array, ""]
+    pull: Float[Array, "3"]
+    turn: Float[Array, ""]
+    margin: Float[Array, ""]
 
 
-def slipping_rates(
-    scene: Scene, t: Float[Array, ""], state: SlidingState
-) -> tuple[AnyState, Float[Array, ""], Float[Array, "3"], Float[Array, ""]]:
-    """As :func:`rates_and_force`, and the slip times the rate of its turn [m/s^2]."""
+@eqx.filter_jit
+def at_contact(scene: Scene, t: Float[Array, ""], state: AnyState) -> AtContact:
+    """Rates and forces at once; inside of a program traced once, however often asked.
+
+    Args:
+        scene: What rolls or slips on what.
+        t: Time [s].
+        state: Where the body is and how it turns.
+    """
     rates, contact, solution, force = _solved(scene, t, state)
     press, pull = _parted(contact, force)
     turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
-    return rates, press, pull, turn
+    endless = jnp.full((), jnp.inf, force.dtype)
+    margin = endless if solution.margin is None else solution.margin
+    return AtContact(rates, press, pull, turn, margin)
 
 
 def contact_force(
@@ -215,6 +234,4 @@ def painleve_margin(
 
     Source: docs/theory.md, (7.4).
     """
-    _, _, solution, force = _solved(scene, t, state)
-    margin = solution.margin
-    return jnp.full((), jnp.inf, force.dtype) if margin is None else margin
+    return at_contact(scene, t, state).margin

@@ -5,8 +5,8 @@ The first axis holds the components, so that every function serves ``(3,)`` and
 rattleback cost nine times more with them, so nothing on the hot path uses them.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +124,12 @@ def solve_4x4(
     return jnp.stack([x * scale for x in solved])
 
 
+# Of a right-hand side; None is zero, for which nothing is done.
+Entry: TypeAlias = Float[Array, "*B"] | None
+# Solves a system for one right-hand side.
+Solver: TypeAlias = Callable[[Sequence[Entry]], list[Float[Array, "*B"]]]
+
+
 def solve_spd(
     matrix: list[list[Float[Array, "*B"]]], rhs: list[Float[Array, "*B"]]
 ) -> list[Float[Array, "*B"]]:
@@ -137,37 +143,80 @@ def solve_spd(
     Returns:
         The solution, by entries.
     """
-    n, x = len(matrix), list(rhs)
+    return factored_spd(matrix)(rhs)
+
+
+def factored_spd(matrix: Sequence[Sequence[Entry]]) -> Solver:
+    """The same for several right-hand sides, of one factorization.
+
+    Args:
+        matrix: Entries by row; only the lower triangle is read. None off the diagonal
+            is zero, and costs nothing until others are subtracted from it.
+
+    Returns:
+        ``solve(rhs)``, of entries some of which may be None, which are zero.
+    """
+    n = len(matrix)
     if n > _UNROLLED:
-        return _solve_by_columns(matrix, rhs)
+        return lambda rhs: _solve_by_columns(matrix, rhs)
     # entries beyond the lower triangle are never read
-    lower: list[list[Any]] = [[None] * n for _ in range(n)]
-    pivot: list[Any] = [None] * n
+    lower: list[list[Entry]] = [[None] * n for _ in range(n)]
+    pivot: list[Array] = []
+    inverse: list[Array] = []
     for j in range(n):
         # U = L D, kept so that every product is formed once
-        scaled = [lower[j][k] * pivot[k] for k in range(j)]
-        pivot[j] = matrix[j][j] - sum(lower[j][k] * scaled[k] for k in range(j))
-        inverse = 1.0 / pivot[j]
+        scaled = [_times(lower[j][k], pivot[k]) for k in range(j)]
+        found = _less(matrix[j][j], lower[j], scaled)
+        assert found is not None
+        pivot.append(found)
+        inverse.append(1.0 / found)
         for i in range(j + 1, n):
-            reduced = matrix[i][j] - sum(lower[i][k] * scaled[k] for k in range(j))
-            lower[i][j] = reduced * inverse
-    for i in range(n):
-        for k in range(i):
-            x[i] = x[i] - lower[i][k] * x[k]
-    x = [x[i] / pivot[i] for i in range(n)]
-    for i in reversed(range(n)):
-        for k in range(i + 1, n):
-            x[i] = x[i] - lower[k][i] * x[k]
-    return x
+            reduced = _less(matrix[i][j], lower[i], scaled)
+            lower[i][j] = _times(reduced, inverse[j])
+
+    def solve(rhs: Sequence[Entry]) -> list[Array]:
+        below: list[Entry] = []
+        for i, value in enumerate(rhs):
+            below.append(_less(value, lower[i], below))
+        zero = jnp.zeros_like(pivot[0])
+        x: list[Array] = []  # from the last on
+        for i in reversed(range(n)):
+            value = _times(below[i], inverse[i])
+            column = [lower[k][i] for k in range(n - 1, i, -1)]
+            found = _less(value, column, x)
+            x.append(zero if found is None else found)
+        return x[::-1]
+
+    return solve
 
 
-def _solve_by_columns(matrix: list[list[Array]], rhs: list[Array]) -> list[Array]:
+def _times(a: Entry, b: Entry) -> Entry:
+    return None if a is None or b is None else a * b
+
+
+def _less(value: Entry, a: Sequence[Entry], b: Sequence[Entry]) -> Entry:
+    """``value - sum a b``, over as many as there are of both; None is zero."""
+    products = [_times(x, y) for x, y in zip(a, b, strict=False)]
+    terms = [x for x in products if x is not None]
+    if not terms:
+        return value
+    total = sum(terms[1:], terms[0])
+    return -total if value is None else value - total
+
+
+def _solve_by_columns(
+    matrix: Sequence[Sequence[Entry]], rhs: Sequence[Entry]
+) -> list[Array]:
     """The same in loops over columns; for numbers without lanes."""
     n = len(rhs)
-    zero = jnp.zeros_like(rhs[0])
-    lower = jnp.stack([jnp.stack([*row, *[zero] * (n - len(row))]) for row in matrix])
+    assert matrix[0][0] is not None
+    zero = jnp.zeros_like(matrix[0][0])
+    stacked: Callable[[Sequence[Entry]], Array] = lambda row: jnp.stack(
+        [zero if x is None else x for x in row]
+    )
+    lower = jnp.stack([stacked([*row, *[None] * (n - len(row))]) for row in matrix])
     whole = jnp.concatenate(
-        [lower + jnp.tril(lower, -1).T, jnp.stack(rhs)[:, None]], axis=1
+        [lower + jnp.tril(lower, -1).T, stacked(rhs)[:, None]], axis=1
     )
     index = jnp.arange(n)
 

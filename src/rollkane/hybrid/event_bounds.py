@@ -7,13 +7,17 @@ step is cut at its lowest place, and is then looked at again, in halves whose bo
 sixteen times closer. Equations: docs/theory.md, (8.1) to (8.3).
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..codegen.member_lanes import DipTables
+
+_T = TypeVar("_T", bound=Any)
 # Places inside of an interval on which a cubic is looked at: between two of them it
 # falls by 1/8 of its curvature over 32^2 at most, a 10^-4 of what it changes by
 _GRID = np.arange(1, 32) / 32.0
@@ -22,7 +26,7 @@ _SAFETY = 2.0
 # Roundings of the largest value seen that are no dip: the cubic's weights add up to 20
 _ROUNDING = 1e3
 BESIDE = (1.0 / 16.0, 15.0 / 16.0)  # so near that the cubic has the slopes at the ends
-_RANGES = 2.0  # a value that stays above so many of its own ranges is not near zero
+RANGES = 2.0  # a value that stays above so many of its own ranges is not near zero
 
 
 class Doubt(NamedTuple):
@@ -64,7 +68,7 @@ def largest_defect(
     return jnp.max(jnp.where(inner, jnp.abs(weights @ ends - rates), 0.0), axis=0)
 
 
-def _bulge(theta: Float[Array, "*B"]) -> Float[Array, "*B"]:
+def _bulge(theta: _T) -> _T:
     """``16 x^2 (1 - x)^2``: how a cubic's deviation is spread over its interval."""
     return 16.0 * (theta * (1.0 - theta)) ** 2
 
@@ -78,7 +82,7 @@ def stays_positive(
         low: The lowest seen.
         high: The highest.
     """
-    return jnp.all(low > _RANGES * (high - low))
+    return jnp.all(low > RANGES * (high - low))
 
 
 def between(nodes: Float[Array, " s"], seen: Float[Array, "s k"], end: int) -> Doubt:
@@ -113,16 +117,33 @@ def rate_at_end(seen: Float[Array, "s k"], end: int) -> Float[Array, " k"]:
     return jax.jvp(_through, (one,), (one,))[1][0] @ known
 
 
+def dip_tables(nodes: np.ndarray) -> DipTables:
+    """What :func:`between` is made of, for values that are seen at these shares.
+
+    Args:
+        nodes: Stages of a method, then ``BESIDE`` both ends.
+    """
+    rows: Callable[[np.ndarray], np.ndarray]
+    rows = lambda x: np.stack(_columns(x), axis=1)
+    seen, places = (rows(nodes), _bulge(nodes)), (rows(_GRID), _bulge(_GRID))
+    return DipTables(*seen, *places, _SAFETY, _ROUNDING)
+
+
 def _through(x: Float[Array, " n"]) -> Float[Array, "n 4"]:
     """Weights of values at 0, beside it, beside 1, at 1 in the cubic through them."""
+    return jnp.stack(_columns(x), axis=1)
+
+
+def _columns(x: _T) -> list[_T]:
+    """The same by columns."""
     places = (0.0, *BESIDE, 1.0)
-    columns: list[Array] = []
+    columns: list[_T] = []
     for i, own in enumerate(places):
         others = [p for k, p in enumerate(places) if k != i]
         scale = np.prod([own - p for p in others])
         a, b, c = others
         columns.append((x - a) * (x - b) * (x - c) / scale)
-    return jnp.stack(columns, axis=1)
+    return columns
 
 
 def in_flight(

@@ -7,34 +7,37 @@ there the mode changes. Derivatives are those of the recorded steps, replayed.
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Float
 
-from ..codegen import in_one_program, in_one_program_or_not
-from ..codegen.tableau import tableau_of
-from ..dynamics.clearance import code_of_touch, reach_of
+from ..codegen import (
+    in_one_program,
+    in_one_program_or_not,
+    with_known_zeros,
+)
+from ..codegen.tableau import Weights, tableau_of, weights_of
+from ..dynamics.clearance import reach_of
 from ..dynamics.consistency import consistent
-from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
-from ..dynamics.rolling_problem import at_an_edge, has_edges
-from ..dynamics.scene import Scene
 from ..integration.differentiate import differentiable
 from ..integration.event_search import Happened, layout_of
 from ..integration.integrate import in_order
-from ..integration.plans import without_derivative
 from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, cleared
-from ..validation.codes import NO_FAULT, Code, first_fault, is_stuck
+from ..validation.codes import NO_FAULT, Code, first_fault
 from .mode_adjoint import Cotangents, Make, pulled_back
+from .mode_lanes import one_or_many
 from .mode_loop import Loop
-from .mode_replay import Path, Place, Record, replayed
-from .modes import HybridScene, HybridState, Mode, ModedState, Switches, of, slipping
-from .step_trial import Allowed, Run, as_it_is
+from .mode_replay import Record, replayed
+from .modes import HybridScene, HybridState, Mode, of
+from .outcome import HybridOutcome, ended, outcome_of
+from .step_trial import Allowed, Run
 from .transitions import Motion
 from .user_events import Kept, at_their_zeros, with_places
 
@@ -42,26 +45,6 @@ from .user_events import Kept, at_their_zeros, with_places
 _Inputs: TypeAlias = tuple[HybridScene, HybridState, Array, Array, Array, Array, Any]
 # Times at which a scene's rates have a corner [s], and whether they may jump there.
 _Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, bool]]
-
-
-class HybridOutcome(eqx.Module):
-    """What came out of a run in modes."""
-
-    state: ModedState
-    switches: Switches
-    code: Array
-    final_time: Array
-    final_state: ModedState
-    steps: Array
-    rejected_steps: Array
-    fault: Array  # number of the field that cannot be used
-    kept: Kept | None = None  # events, as the loop left them
-    happened: Happened | None = None  # with states
-
-    @property
-    def unknown(self) -> "HybridOutcome":
-        """What of it has no derivative."""
-        return without_derivative(self, ("final_time", "final_state"))
 
 
 def integrate_modes(
@@ -75,7 +58,7 @@ def integrate_modes(
     max_steps: int,
     corners: _Corners,
     allowed: Allowed | None = None,
-    native: bool = False,
+    zeros: tuple[bytes, ...] | None = None,
     events: Any = (),
 ) -> HybridOutcome:
     """Integrate through all changes of the mode, to the asked times.
@@ -93,13 +76,13 @@ def integrate_modes(
             None, and whether they may jump there.
         allowed: ``allowed(scene, t, state)`` -> whether a step may end there; None:
             anywhere.
-        native: Whether the loop is compiled as C, and its derivatives where they can
-            be; else all by XLA.
+        zeros: For a loop in C and its derivatives, which numbers of the scene are zero
+            (``codegen.zeros_of``); None: all by XLA.
         events: Of the user's own; differentiable.
     """
     mode = Mode.SLIPPING if start.slips else Mode.ROLLING
     mode = mode if start.touches else Mode.FLYING
-    runs = _Runs(mode, solver, max_steps, corners, allowed, native)
+    runs = _Runs(mode, solver, max_steps, corners, allowed, zeros)
     increasing = in_order(times) & ~(times[0] > times[-1])
     fault, code_of_fault = first_fault(scene, of(start), increasing)
     good = fault == NO_FAULT
@@ -115,7 +98,7 @@ def integrate_modes(
     found: HybridOutcome = differentiable(
         runs.solve,
         inputs,
-        push=runs.push if native else None,
+        push=runs.push if runs.native else None,
         pull=runs.pull,
         twice=_refuse_twice,
         unknown=unknown,
@@ -158,7 +141,8 @@ def _with_events(
         jnp.where(good, kept.number, 0),
         jnp.where(good, kept.by, -1),
     )
-    make: Callable[[HybridScene], Motion] = lambda scene: runs.motion(scene, times)
+    make: Callable[[HybridScene], Motion]
+    make = lambda scene: runs.motion(scene, times.dtype)
     span = jax.lax.stop_gradient(jnp.abs(times[-1] - times[0]))
     found = at_their_zeros(events, make, scene, found, span)
     ended = run.code == Code.STOPPED
@@ -185,40 +169,63 @@ class _Runs(NamedTuple):
     max_steps: int
     corners: _Corners
     allowed: Allowed | None
-    native: bool
+    zeros: tuple[bytes, ...] | None
+
+    @property
+    def native(self) -> bool:
+        """Whether runs and their derivatives are programs in C."""
+        return self.zeros is not None
 
     def made(self, inputs: _Inputs) -> tuple[Motion, HybridState, Float[Array, " T"]]:
         """Motion, state and times, those of places for events behind them."""
         scene, y, times, *_, events = inputs
         if events:
             times = with_places(times, layout_of(events).capacity)
-        return self.motion(scene, times), y, times
+        return self.motion(scene, times.dtype), y, times
 
-    def motion(self, scene: HybridScene, times: Float[Array, " T"]) -> Motion:
+    @property
+    def weights(self) -> Weights:
+        """Of the method."""
+        return weights_of(self.solver, "a run with modes")
+
+    def motion(self, scene: HybridScene, dtype: np.dtype) -> Motion:
         """Rates, events and changes."""
-        tableau = tableau_of(self.solver, times.dtype)
+        if self.zeros is not None:
+            scene = with_known_zeros(scene, self.zeros)
+        tableau = tableau_of(self.solver, dtype)
         return Motion(scene.in_modes, scene.modes, tableau)
 
-    def stepped(
-        self, inputs: _Inputs, recording: bool
-    ) -> tuple[HybridOutcome, Record | None]:
-        """A run by adaptive steps, and its record."""
+    def loop(self, inputs: _Inputs) -> tuple[Loop, Array, HybridState]:
+        """The loop of steps of a run, its first mode and its start."""
         motion, y, _ = self.made(inputs)
-        scene, _, times, rtol, atol, spoilt, events = inputs
+        scene, _, times, rtol, atol, _, events = inputs
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *self.corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
         assert order is not None
         how = rtol, atol, order, self.allowed, events
         loop = Loop(motion, times, where, reach, *how)
-        c = loop.run(jnp.asarray(self.mode), y, self.max_steps, recording)
-        return _ended(motion, c, times.shape[0], self.allowed, spoilt), c.record
+        return loop, jnp.asarray(self.mode), y
+
+    def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
+        """What came out of a run."""
+        motion, *_ = self.made(inputs)
+        _, _, times, _, _, spoilt, _ = inputs
+        return ended(motion, c, times.shape[0], self.allowed, spoilt)
+
+    def stepped(
+        self, inputs: _Inputs, recording: bool
+    ) -> tuple[HybridOutcome, Record | None]:
+        """A run by adaptive steps, and its record."""
+        loop, mode, y = self.loop(inputs)
+        c = loop.run(mode, y, self.max_steps, recording)
+        return self.ended(inputs, c), c.record
 
     def repeated(self, inputs: _Inputs, record: Record) -> HybridOutcome:
         """The same by recorded steps."""
         motion, y, times = self.made(inputs)
         path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
-        found = _outcome(path, t, last, None, None, None)
+        found = outcome_of(path, t, last, None, None, None)
         events = inputs[-1]
         if not events:
             return found
@@ -233,6 +240,9 @@ class _Runs(NamedTuple):
         """One of the functions of ``integration.differentiate.differentiable``."""
         if replay is not None:
             return self.repeated(inputs, replay), None
+        if self.native and adjoint is None:
+            run = one_or_many(self, inputs, self.max_steps)
+            return cast(HybridOutcome, run), None
         call = in_one_program if self.native else _called
         return call(self.stepped, inputs, adjoint is not None)
 
@@ -288,72 +298,9 @@ def _floats(outputs: Any) -> list[Array]:
     return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
 
 
-def _ended(
-    motion: Motion,
-    c: Run,
-    outputs: int,
-    allowed: Allowed | None,
-    spoilt: Float[Array, ""],
-) -> HybridOutcome:
-    """What came out of the loop, and why it ended."""
-    code = jnp.where((c.code == 0) & (c.path.reached < outputs), Code.MAX_STEPS, c.code)
-    stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
-    code = jnp.where(stuck, Code.BAD_START, code)
-    code = _explained(motion, allowed, code, c.place)
-    t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
-    found = _outcome(c.path, t, last, code, c.accepted, rejected)
-    states: Callable[[HybridOutcome], Any] = lambda s: (
-        s.state,
-        s.switches.state,
-        s.final_state,
-    )
-    spoil: Callable[[Array], Array] = lambda x: (
-        x + spoilt if eqx.is_inexact_array(x) else x
-    )
-    found = eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
-    left = None if c.watched is None else c.watched.left
-    return dataclasses.replace(found, kept=left)
-
-
 def _refuse_twice(*arguments: object) -> None:
     """An event's time has its first derivative only: one Newton step of value zero."""
     del arguments
     problem = "has no second derivatives"
     remedy = "leave modes out, or take differences of first derivatives"
     raise FieldError("simulate.modes", "...", problem, remedy)
-
-
-def _explained(
-    motion: Motion, allowed: Allowed | None, code: Int[Array, ""], place: Place
-) -> Array:
-    """The code of a run, where it got stuck by what stopped it."""
-    stuck = is_stuck(code)
-    scene, mu = motion.scenes.rolling, motion.modes.friction
-    touches = place.mode != Mode.FLYING
-    if has_edges(scene):
-        at_end = at_an_edge(scene, place.t, place.y.rolling())
-        code = jnp.where(stuck & touches & at_end, Code.SURFACE_EDGE, code)
-    if mu is not None:
-        slides = slipping(scene, mu, place.direction, place.y)
-        margin = painleve_margin(slides, place.t, place.y.sliding())
-        jams = (place.mode == Mode.SLIPPING) & (margin < LEAST_MARGIN)
-        code = jnp.where(stuck & jams, Code.PAINLEVE, code)
-    if allowed is None:
-        return code
-    touched: Callable[[Scene, Array, Any], Array] = lambda scene, t, y: code_of_touch(
-        code, scene, t, y
-    )
-    return as_it_is(touched, scene, place.t, place.mode, place.y)
-
-
-def _outcome(
-    path: Path,
-    t: Float[Array, ""],
-    last: ModedState,
-    code: Any,
-    steps: Any,
-    rejected: Any,
-) -> HybridOutcome:
-    none = jnp.asarray(NO_FAULT)
-    parts = path.saved, path.switches, code, t, last, steps, rejected, none
-    return HybridOutcome(*parts)

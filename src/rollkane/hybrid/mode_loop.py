@@ -4,6 +4,7 @@ Where a step ends on an event (``step_trial``) the mode changes. The results do 
 depend on which outputs are asked for.
 """
 
+from collections.abc import Callable
 from typing import cast
 
 import jax
@@ -199,17 +200,30 @@ class Loop(Trials):
         self, mode: Int[Array, ""], y: HybridState, max_steps: int, recording: bool
     ) -> Run:
         """From the start to the last time, or to where it cannot go on."""
-
-        def going(c: Run) -> Bool[Array, ""]:
-            more = c.path.reached < self.times.shape[0]
-            return more & (c.code == 0) & (c.tried < max_steps)
-
-        begun = self._begun(mode, y, RECORDED_STEPS if recording else 0)
+        begun = self.begun(mode, y, RECORDED_STEPS if recording else 0)
         if recording:
             max_steps = min(max_steps, RECORDED_STEPS)
+        going: Callable[[Run], Array] = lambda c: self.going(c, max_steps)
         return jax.lax.while_loop(going, lambda c: self.step(c), begun)
 
-    def _begun(self, mode: Int[Array, ""], y: HybridState, recorded: int) -> Run:
+    def going(self, c: Run, max_steps: int) -> Bool[Array, ""]:
+        """Whether a run goes on."""
+        more = c.path.reached < self.times.shape[0]
+        return more & (c.code == 0) & (c.tried < max_steps)
+
+    def lane(self, c: Run) -> Int[Array, ""]:
+        """1 or 2 where a plain step of a contact that rolls or slips may follow.
+
+        The step itself says whether it is plain (``mode_lanes``); 0: it cannot be.
+        """
+        at = c.place
+        idle = jnp.all(jnp.isfinite(c.values) & (c.values > 0.0))
+        idle &= ~c.searching & (c.cuts == 0)
+        slips = (at.mode == Mode.SLIPPING) & ~begins(at.direction)
+        which = jnp.where(at.mode == Mode.ROLLING, 1, jnp.where(slips, 2, 0))
+        return jnp.where(idle, which, 0)
+
+    def begun(self, mode: Int[Array, ""], y: HybridState, recorded: int) -> Run:
         """The loop's first value."""
         t, whole = self.times[0], jnp.asarray(0)
         mode, direction, y = self.motion.begun(mode, t, y)

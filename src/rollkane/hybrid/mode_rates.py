@@ -13,9 +13,8 @@ from ..codegen.tableau import Tableau, stage_sum
 from ..dynamics.directed_friction import begins
 from ..dynamics.gap import nearest_anywhere
 from ..dynamics.rolling import (
-    rates_and_force,
+    at_contact,
     rolling_derivative,
-    slipping_rates,
 )
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
@@ -23,6 +22,7 @@ from .event_bounds import BESIDE, cubic, stays_positive
 from .modes import HybridState, Mode, Modes, Scenes, of, slipping
 
 _T = TypeVar("_T")
+_Numbers = TypeVar("_Numbers", bound=Any)
 # Like plain_cond.
 Cond: TypeAlias = Callable[
     [tuple[Any, ...], Array, Callable[..., Any], Callable[..., Any]], Any
@@ -204,11 +204,27 @@ class ModeRates(eqx.Module):
             lambda direction, t, y: self._flies(direction, t, y),
         )
 
+    def plain(
+        self,
+        mode: Mode,
+        direction: Float[Array, "3"],
+        t: Float[Array, ""],
+        y: HybridState,
+        turns: bool,
+    ) -> tuple[HybridState, Seen]:
+        """:meth:`at` of a contact that rolls, or of a slip that has its direction.
+
+        ``turns``: with how fast it turns.
+        """
+        if mode == Mode.ROLLING:
+            return self._rolls(direction, t, y)
+        return self._slips(direction, t, y, True, turns)
+
     def _rolls(
         self, direction: Float[Array, "3"], t: Float[Array, ""], y: HybridState
     ) -> tuple[HybridState, Seen]:
         modes, endless = self.modes, jnp.ones_like(t)
-        rates, press, pull = rates_and_force(self.scenes.rolling, t, y.rolling())
+        rates, press, pull, *_ = at_contact(self.scenes.rolling, t, y.rolling())
         grip = endless
         if modes.static_friction is not None:
             grip = self._grip(press, pull)
@@ -216,14 +232,20 @@ class ModeRates(eqx.Module):
         return of(rates), Seen(values, jnp.zeros_like(direction), jnp.zeros_like(t))
 
     def _slips(
-        self, direction: Float[Array, "3"], t: Float[Array, ""], y: HybridState
+        self,
+        direction: Float[Array, "3"],
+        t: Float[Array, ""],
+        y: HybridState,
+        follows: bool = False,
+        turns: bool = True,
     ) -> tuple[HybridState, Seen]:
         modes, endless = self.modes, jnp.ones_like(t)
         if modes.friction is None:  # nothing slips
             still: Callable[[Array], Array] = lambda x: jnp.zeros_like(x)
             return jax.tree.map(still, y), _nothing_seen(direction, t)
-        scene = slipping(self.scenes.rolling, modes.friction, direction, y)
-        rates, press, pull, turn = slipping_rates(scene, t, y.sliding())
+        law = modes.friction, direction, y, follows, turns
+        scene = slipping(self.scenes.rolling, *law)
+        rates, press, pull, turn, _ = at_contact(scene, t, y.sliding())
         against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
         against = against / not_zero(size_of(against))
         way = jnp.where(begins(direction), against, direction)
@@ -297,12 +319,23 @@ def _nothing_seen(direction: Float[Array, "3"], t: Float[Array, ""]) -> Seen:
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:
     """Weights of a step's rates in its cubic, beside both of its ends."""
-    whole = tableau.rows[-1]
-    rows: list[Array] = []
+    return jnp.stack([weights for _, weights in beside_ends(tableau.rows[-1])])
+
+
+def beside_ends(last: _Numbers) -> list[tuple[float, _Numbers]]:
+    """Shares of a step beside its ends, each with the weights of the cubic there.
+
+    Args:
+        last: Weights of the step's end, of its last stage too.
+    """
+    count = last.shape[0]
+    found: list[tuple[float, Any]] = []
     for share in BESIDE:
-        _, first, rise, last = cubic(np.array([share]))[0]
-        rows.append((rise * whole).at[0].add(first).at[-1].add(last))
-    return jnp.stack(rows)
+        _, first, rise, behind = cubic(np.array([share]))[0]
+        ends = np.zeros(count)
+        ends[0], ends[-1] = first, behind
+        found.append((share, rise * last + ends.astype(last.dtype)))
+    return found
 
 
 def not_zero(x: Float[Array, ""]) -> Float[Array, ""]:

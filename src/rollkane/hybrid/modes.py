@@ -236,17 +236,23 @@ def of(state: Any) -> HybridState:
 
 
 def slipping(
-    scene: Scene, mu: Float[Array, ""], direction: Float[Array, "3"], state: HybridState
+    scene: Scene,
+    mu: Float[Array, ""],
+    direction: Float[Array, "3"],
+    state: HybridState,
+    follows: bool = False,
+    turns: bool = True,
 ) -> Scene:
     """A scene that rolls, as it slips; direction of the slip on fixed axes [1].
 
-    Of length 1/2: the slip only begins. It has no derivative: a slip that ends may turn
-    by 1e5 rad/s and more, and what follows does not depend on when it was looked at.
+    Of length 1/2: the slip only begins, unless ``follows`` says that it does not. It
+    has no derivative: a slip that ends may turn by 1e5 rad/s and more, and what follows
+    does not depend on when it was looked at. ``turns``: it is asked how fast it does.
     """
     assert isinstance(scene.contact, Rolling)
     direction = jax.lax.stop_gradient(direction)
     own = matvec_transposed(rotation_matrix(state.orientation), direction)
-    friction = DirectedFriction(mu, own, scene.contact.one_sided)
+    friction = DirectedFriction(mu, own, scene.contact.one_sided, follows, turns)
     return under(scene, Slipping(friction))
 
 

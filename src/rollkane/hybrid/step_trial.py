@@ -36,7 +36,8 @@ _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to spea
 # old direction has turned, not ended
 _ENDED_SLIP = 30.0 * SMALLEST_SLIP
 # Rate times step: methods of orders 3 and 5 are stable to 2.5 and 3.3 at least
-_SETTLES = 2.0
+SETTLES = 2.0
+NEARER = 0.25  # of the time until a slip ends, in one step
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)
 _CUTS = 24
@@ -227,6 +228,7 @@ class Trials(eqx.Module):
         step = jnp.where(at_once, 1e6 * tiny, step)
         step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
         settles = self.while_it_turns(c.place, tried.end)
+        settles = jnp.minimum(settles, self.before_its_end(c, tried))
         step = jnp.where(accept & ~event, jnp.minimum(step, settles), step)
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
@@ -261,7 +263,20 @@ class Trials(eqx.Module):
         turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
         turns &= (slip > ONSET) | ~begins(at.direction)
         turn = jnp.where(turns, end.turn, 1.0)
-        return jnp.where(turns, _SETTLES * slip / turn, jnp.inf)
+        return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
+
+    def before_its_end(self, c: Run, tried: Tried) -> Array:
+        """A share of the time until a slip ends at its present rate.
+
+        Beyond its end friction turns round, and such a step is tried in vain. Across
+        the slip rates vary as one over it: no error is known of tangents along them.
+        """
+        left, lost = tried.end.values[0], c.values[0] - tried.end.values[0]
+        ends = (c.place.mode == Mode.SLIPPING) & ~begins(c.place.direction)
+        ends &= (lost > 0.0) & (left > 0.0)
+        taken = tried.t - c.place.t  # and what the law leaves of it: so it does end
+        until = (left + SMALLEST_SLIP) * taken / jnp.where(ends, lost, 1.0)
+        return jnp.where(ends, NEARER * until, jnp.inf)
 
     def follows(self, at: Place, end: Step) -> Array:
         """Whether a slip that begins is not yet far too fast to be one."""

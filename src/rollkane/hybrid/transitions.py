@@ -15,13 +15,14 @@ from ..dynamics.gap import in_flight
 from ..dynamics.impacts import Rebound, impact
 from ..dynamics.mass_matrix import assemble
 from ..dynamics.rolling import (
+    at_contact,
     contact_of,
-    press_and_pull,
 )
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed
 from .mode_rates import ModeRates, not_zero, picked, size_of
 from .modes import HybridState, Mode, of
 
+FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
 # Mode, direction of the slip, and state.
 Begun: TypeAlias = tuple[Int[Array, ""], Float[Array, "3"], HybridState]
 
@@ -43,7 +44,7 @@ class Motion(ModeRates):
         Of one that begins where it no longer does.
         """
         fast = dot(y.slip, y.slip)
-        least = jnp.where(begins(direction), ONSET, 1e3 * SMALLEST_SLIP)
+        least = jnp.where(begins(direction), ONSET, FOLLOWED)
         known = (mode == Mode.SLIPPING) & (fast > least**2)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction
@@ -181,7 +182,7 @@ class Motion(ModeRates):
             held = spin_stopped(scene, t, y.rolling())
             parts = held.angular_velocity, held.alpha_dot
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
-        press, pull = press_and_pull(scene, t, y.rolling())
+        _, press, pull, *_ = at_contact(scene, t, y.rolling())
         mode = jnp.asarray(Mode.ROLLING)
         if self.modes.static_friction is not None:
             held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2

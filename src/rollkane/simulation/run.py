@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..codegen import zeros_of
 from ..codegen.compile_effort import around_a_loop
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
 from ..dynamics.consistency import consistent
@@ -23,8 +24,9 @@ from ..dynamics.rolling_problem import (
     unbroken,
 )
 from ..dynamics.scene import Scene
-from ..hybrid.hybrid_run import HybridOutcome, integrate_modes
+from ..hybrid.hybrid_run import integrate_modes
 from ..hybrid.modes import HybridScene, Modes, of
+from ..hybrid.outcome import HybridOutcome
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import (
@@ -303,13 +305,14 @@ def _simulate_modes(
     )
 
 
-def _run_modes(*arguments: Any, native: bool) -> Any:
+def _run_modes(scene: HybridScene, *arguments: Any, native: bool) -> Any:
     """See :func:`_through_changes`."""
-    return (_around_loop if native else _by_xla)(native, *arguments)
+    zeros = tuple(map(zeros_of, jax.tree.leaves(scene))) if native else None
+    return (_around_loop if native else _by_xla)(zeros, scene, *arguments)
 
 
 def _through_changes(
-    native: bool,
+    zeros: tuple[bytes, ...] | None,
     scene: HybridScene,
     start: State,
     times: Float[Array, " T"],
@@ -328,7 +331,7 @@ def _through_changes(
     return integrate_modes(
         *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
         allowed=allowed,
-        native=native,
+        zeros=zeros,
         events=events,
     )
 

@@ -1,0 +1,107 @@
+"""What comes out of a run in modes, and why it ended."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from ..dynamics.clearance import code_of_touch
+from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
+from ..dynamics.rolling_problem import at_an_edge, has_edges
+from ..dynamics.scene import Scene
+from ..integration.event_search import Happened
+from ..integration.plans import without_derivative
+from ..validation.codes import NO_FAULT, Code, is_stuck
+from .mode_replay import Path, Place
+from .modes import Mode, ModedState, Switches, slipping
+from .step_trial import Allowed, Run, as_it_is
+from .transitions import Motion
+from .user_events import Kept
+
+
+class HybridOutcome(eqx.Module):
+    """What came out of a run in modes."""
+
+    state: ModedState
+    switches: Switches
+    code: Array
+    final_time: Array
+    final_state: ModedState
+    steps: Array
+    rejected_steps: Array
+    fault: Array  # number of the field that cannot be used
+    kept: Kept | None = None  # events, as the loop left them
+    happened: Happened | None = None  # with states
+
+    @property
+    def unknown(self) -> "HybridOutcome":
+        """What of it has no derivative."""
+        return without_derivative(self, ("final_time", "final_state"))
+
+
+def ended(
+    motion: Motion,
+    c: Run,
+    outputs: int,
+    allowed: Allowed | None,
+    spoilt: Float[Array, ""],
+) -> HybridOutcome:
+    """What came out of the loop, and why it ended."""
+    code = jnp.where((c.code == 0) & (c.path.reached < outputs), Code.MAX_STEPS, c.code)
+    stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
+    code = jnp.where(stuck, Code.BAD_START, code)
+    code = _explained(motion, allowed, code, c.place)
+    t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
+    found = outcome_of(c.path, t, last, code, c.accepted, rejected)
+    states: Callable[[HybridOutcome], Any] = lambda s: (
+        s.state,
+        s.switches.state,
+        s.final_state,
+    )
+    spoil: Callable[[Array], Array] = lambda x: (
+        x + spoilt if eqx.is_inexact_array(x) else x
+    )
+    found = eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
+    left = None if c.watched is None else c.watched.left
+    return dataclasses.replace(found, kept=left)
+
+
+def _explained(
+    motion: Motion, allowed: Allowed | None, code: Int[Array, ""], place: Place
+) -> Array:
+    """The code of a run, where it got stuck by what stopped it."""
+    stuck = is_stuck(code)
+    scene, mu = motion.scenes.rolling, motion.modes.friction
+    touches = place.mode != Mode.FLYING
+    if has_edges(scene):
+        at_end = at_an_edge(scene, place.t, place.y.rolling())
+        code = jnp.where(stuck & touches & at_end, Code.SURFACE_EDGE, code)
+    if mu is not None:
+        slides = slipping(scene, mu, place.direction, place.y)
+        margin = painleve_margin(slides, place.t, place.y.sliding())
+        jams = (place.mode == Mode.SLIPPING) & (margin < LEAST_MARGIN)
+        code = jnp.where(stuck & jams, Code.PAINLEVE, code)
+    if allowed is None:
+        return code
+    touched: Callable[[Scene, Array, Any], Array] = lambda scene, t, y: code_of_touch(
+        code, scene, t, y
+    )
+    return as_it_is(touched, scene, place.t, place.mode, place.y)
+
+
+def outcome_of(
+    path: Path,
+    t: Float[Array, ""],
+    last: ModedState,
+    code: Any,
+    steps: Any,
+    rejected: Any,
+) -> HybridOutcome:
+    """Of a path, with nothing that is wrong with what was given."""
+    none = jnp.asarray(NO_FAULT)
+    parts = path.saved, path.switches, code, t, last, steps, rejected, none
+    return HybridOutcome(*parts)
