@@ -46,7 +46,8 @@ def main(site: Path) -> int:
     tallest = max(found, key=lambda name: found[name])
     print(f"{len(found)} pages, the tallest {tallest}: {found[tallest]} px")
     problems = too_tall(found)
-    print("\n".join(problems))
+    for problem in problems:
+        print(problem)
     return int(bool(problems))
 
 
