@@ -104,6 +104,7 @@ docs: $(VENV)/.docs build/gallery/.made
 	$(BIN)/python -m sphinx --fail-on-warning --keep-going -q -d build/doctrees \
 		-D nb_execution_cache_path=$(CURDIR)/build/notebooks docs site
 	$(BIN)/python docs/check_site.py site
+	$(BIN)/python -m tests.browser.page_heights site
 
 # what scenes, viewer or loop look like may have changed with any source
 build/gallery/.made: $(VENV)/.docs docs/images/gallery.py $(wildcard docs/gallery/*.toml) \

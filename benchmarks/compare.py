@@ -48,6 +48,11 @@ OTHERS = {  # script -> environment
 }
 TOLERANCES = tuple(10.0**-k for k in range(4, 13))
 COUNTS = (1, 100, 10_000, 100_000)
+TITLES = {
+    "P1": "P1: ball on a turntable, 10 s",
+    "P2": "P2: thin disc, 10 s",
+    "P3": "P3: rattleback, 5 s",
+}
 GRADIENTS = (("P2", 1.0), ("P2", 10.0), ("P3", 1.0), ("P3", 5.0))
 # that a derivative has room for, however many a run takes
 STEPS = 65536
@@ -389,7 +394,7 @@ def draw(rows: list[dict], path: Path) -> None:
     figure = new_figure((13.0, 4.8))
     panels = figure.subplots(1, 3, sharey=True)
     peers = list(dict.fromkeys(r["peer"] for r in rows))
-    for panel, problem in zip(panels, ("P1", "P2", "P3"), strict=True):
+    for panel, problem in zip(panels, TITLES, strict=True):
         for i, peer in enumerate(peers):
             mine = [r for r in rows if r["peer"] == peer and r["problem"] == problem]
             if not mine:
@@ -403,7 +408,7 @@ def draw(rows: list[dict], path: Path) -> None:
                 color=f"C{i}" if i < 10 else "black",
                 label=peer,
             )
-        panel.set_title(problem, fontsize=11)
+        panel.set_title(TITLES[problem], fontsize=11)
         panel.set_xlabel("end error [m] or [rad], the larger")
         dress(panel)
     panels[0].set_ylabel("time of a run [s]")

@@ -16,6 +16,7 @@ release = re.findall('__version__ = "(.*)"', VERSION)[0]
 extensions = [
     "sphinx.ext.autodoc",
     "docstrings",
+    "equation_links",
     "gallery",
     "mathml",
     "notebooks",
@@ -55,6 +56,7 @@ html_theme = "furo"
 html_title = "rollkane"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_use_index = False  # the reference is by topic, the search by name
 html_show_sphinx = False
 html_copy_source = False
 pygments_style = "friendly"

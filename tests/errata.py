@@ -99,7 +99,7 @@ def kinematics(scene, state):
     w = turn @ (contact.shell.frame @ v)
     return {
         "1, term dropped": (D1_dropped - true_D1, D1 - true_D1),
-        "1, read as a_11^c": (D1_misread - true_D1, D1 - true_D1),
+        "1, index misread": (D1_misread - true_D1, D1 - true_D1),
         "2": (
             still + by_sigma - by_tau - x_dot[4],
             still + by_sigma + by_tau - x_dot[4],
@@ -213,7 +213,7 @@ def supported_body(scene, state):
     """Item 7: the rotation of the carried body, with either trace."""
     contact = rk.contact_of(scene, NOW, state)
     (part,) = scene.supported
-    turning = part.carried(NOW, state.alpha, state.alpha_dot).turning
+    (turning,) = part.carried(NOW, state.alpha, state.alpha_dot).turnings
     rates = rk.rolling_derivative(scene, NOW, state)
     w, w_r, I_r = contact.angular_velocity, turning.velocity, turning.inertia
     # w' on body axes from (sigma', tau', n') (theory 4.1)

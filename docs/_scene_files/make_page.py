@@ -35,7 +35,7 @@ PLACES = {
 }
 # Page -> its beginning, and the places that it has.
 PAGES = {
-    "scene_files": ("", ("file", "body", "start", "run", "modes", "events")),
+    "scene_files": ("", ("file", "body", "start", "run")),
     "scene_surfaces": (
         """# Surfaces in scene files
 
@@ -52,6 +52,14 @@ What a body rolls on, how that moves, and which forces act:
 [Scene files](scene_files.md) say how a file is written.
 """,
         ("base", "base.motion", "loads", "contact"),
+    ),
+    "scene_changes": (
+        """# Changes of the contact, and events, in scene files
+
+How a body comes to slip, to fly and to land in a run, and what the run looks for:
+[Scene files](scene_files.md) say how a file is written.
+""",
+        ("modes", "events"),
     ),
     "scene_parts": (
         """# What a body carries in scene files

@@ -2,6 +2,7 @@
 
 from . import kane as kane
 from .dynamics.bodies import Body as Body
+from .dynamics.cad_bodies import body_from_cad as body_from_cad
 from .dynamics.equations import Equations as Equations
 from .dynamics.equations import equations_of_motion as equations_of_motion
 from .dynamics.events import Event as Event

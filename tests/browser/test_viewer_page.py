@@ -299,3 +299,44 @@ def test_changes_of_contact_are_on_the_time_line(browser, folder):
     assert [modes[5], modes[15]] == [1, 0]
     assert browser.complaints == []
     assert json.dumps(browser.run("rollkane.player.timeline.matters")) == "true"
+
+
+def test_a_bowl_has_lines_at_round_distances(browser, folder):
+    """Seen from above: dark where x or y is a multiple of what the panel tells."""
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(BODY)),
+        rk.Base(rk.Sphere(1.0, inside=True)),
+    )
+    start = rk.place(scene, (1, 0, 0, 0), (4.0, 4.0, 1.0), (0.0, 0.0, -1.0))
+    run = rk.simulate(scene, start, np.linspace(0.0, 1.0, 61))
+    write_view(run, folder / "bowl.html", "A bowl")
+    browser.open(folder / "bowl.html", "#frame=0&traces=0")
+    spacing = browser.run("rollkane.player.stage.spacing")
+    told = browser.run(
+        "[document.getElementById('grid'), document.getElementById('grid-unit')]"
+        ".map((e) => e.textContent).concat(document.getElementById('grid-row').hidden)"
+    )
+    assert told == [f"{1000 * spacing:g}", "mm", False]
+    places = [(0.1, y) for y in (0.0, 0.05)] + [(0.15, y) for y in (0.0, 0.05)]
+    places = [(spacing * x / 0.1, spacing * y / 0.1) for x, y in places]
+    pixels = browser.run(
+        "(() => { const p = rollkane.player; p.stage.body.visible = false;"
+        "p.stage.contact.visible = false; p.controls.minDistance = 0;"
+        "p.controls.target.set(0, 0, -1); p.camera.position.set(0, -1e-3, 0.2);"
+        "p.controls.update(); p.camera.updateMatrixWorld(); p.ask();"
+        f"return {json.dumps(places)}.map(([x, y]) => {{"
+        "const v = new THREE.Vector3(x, y, -Math.sqrt(1 - x * x - y * y))"
+        ".project(p.camera); const box = p.renderer.domElement.getBoundingClientRect();"
+        "return [box.x + (0.5 + 0.5 * v.x) * box.width,"
+        " box.y + (0.5 - 0.5 * v.y) * box.height]; }); })()"
+    )
+    browser.settle()
+    picture = browser.picture().mean(axis=-1)
+    # the darkest of nine pixels: a line is a pixel wide or two, and they are whole
+    seen = [
+        picture[int(y) - 1 : int(y) + 2, int(x) - 1 : int(x) + 2].min()
+        for x, y in pixels
+    ]
+    on_both, on_first, on_second, on_none = seen
+    assert max(on_both, on_first, on_second) < on_none - 0.05, seen
+    assert browser.complaints == []

@@ -41,6 +41,7 @@ def rows():
     lines = [line for line in TABLE.splitlines() if line.startswith("| ")][1:]
     for line in lines:
         _, name, _, unit, *_ = (cell.strip() for cell in line.strip("|").split("|"))
+        unit = unit.replace("²", "^2").replace("³", "^3")  # as docstrings have them
         for owner, attribute in re.findall(r"`(\w+)\.(\w+)`", name):
             yield owner, attribute, unit
 

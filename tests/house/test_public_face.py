@@ -15,7 +15,7 @@ SOURCE = Path(__file__).parents[2] / "src" / "rollkane"
 
 NAMES = {
     *("orientation_from_euler", "orientation_from_matrix", "orientation_from_scipy"),
-    *("orientation_from_xyzw", "solid_body"),
+    *("orientation_from_xyzw", "solid_body", "body_from_cad"),
     "VonMisesFisher",
     "LogNormal",
     "Normal",

@@ -1,4 +1,4 @@
-"""docs/records.md is true: every row of its tables is what the readers do."""
+"""The pages on records are true: every row of its tables is what the readers do."""
 
 import inspect
 import re
@@ -21,13 +21,15 @@ from rollkane.files.scene_files.moving_tables import RecordTable
 
 from .. import record_files
 
-PAGE = Path(__file__).parents[2] / "docs" / "records.md"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = "records", "record_headers"
 
 
 def tables():
-    """Rows of each table of the page, by the first cell of its head."""
+    """Rows of each table of the pages, by the first cell of its head."""
     found, rows = {}, None
-    for line in PAGE.read_text().splitlines():
+    text = "\n".join((DOCS / f"{name}.md").read_text() for name in PAGES)
+    for line in text.splitlines():
         cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
         if not line.startswith("|"):
             rows = None

@@ -41,7 +41,8 @@ MODULES = [
 def pages():
     kinds = ("*.py", "*.md", "*.c", "*.h", "*.pyi", "*.toml")
     files = [p for kind in kinds for p in (ROOT / "src").rglob(kind)]
-    files += [*(ROOT / "docs").glob("*.md"), ROOT / "README.md"]
+    files += [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    files += (ROOT / "docs" / "theory").glob("*.md")
     return [p for p in files if p.name != "moved_modules.py"]
 
 

@@ -1,4 +1,4 @@
-"""docs/theory.md is true: every function and every test that it names is there."""
+"""The theory is true: every function and every test that its pages name is there."""
 
 import ast
 import importlib
@@ -9,7 +9,12 @@ from types import ModuleType
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "theory.md").read_text()
+CONTENTS = (ROOT / "docs" / "theory.md").read_text()
+SECTIONS = {  # title and page of each section, in order
+    name: (ROOT / "docs" / f"{name}.md").read_text()
+    for name in re.findall(r"^(theory/\w+)$", CONTENTS, re.M)
+}
+PAGE = "\n".join([CONTENTS, *SECTIONS.values()])
 ROWS = re.findall(
     r"^\| (.+?) \| .+? \| `([\w.]+)` \| `([\w/.]+)::(\w+)` \|$", PAGE, re.M
 )
@@ -27,7 +32,7 @@ OWN = re.findall(r"^\$\$ \((\d+\.\d+)\)$", PAGE, re.M)
 
 
 def numbers_of(text: str) -> tuple[list[str], list[str]]:
-    """Numbers of equations that a text cites: of the paper, and of the page's own.
+    """Numbers of equations that a text cites: of the paper, and of the pages' own.
 
     Those behind "[A] (1.9), " are the paper's, too; of "(8.6) to (8.10)" all.
     """
@@ -54,6 +59,20 @@ def test_equations_are_numbered_in_order():
     assert {x.split(".")[0] for x in OWN} == {str(k) for k in range(1, 12)}
 
 
+def test_the_contents_tell_where_equations_are():
+    """Each section is a page; its title and the range of its numbers are told."""
+    row = r"^\| \[(.+?)\]\((theory/\w+)\.md\) \| \((.+?)\) to \((.+?)\) \|"
+    told = {x[1]: (x[0], *x[2:]) for x in re.findall(row, CONTENTS, re.M)}
+    assert list(told) == list(SECTIONS)
+    for number, (name, text) in enumerate(SECTIONS.items(), 1):
+        title, first, last = told[name]
+        numbers = re.findall(r"^\$\$ \((\d+\.\d+)\)$", text, re.M)
+        assert text.startswith(f"# {title}\n")
+        assert title.startswith(f"{number}. ")
+        assert (first, last) == (numbers[0], numbers[-1])
+        assert {x.split(".")[0] for x in numbers} == {str(number)}
+
+
 def test_every_numbered_equation_has_a_row():
     rows = [numbers_of(equation) for equation, *_ in ROWS]
     assert {x for paper, _ in rows for x in paper} == PAPER
@@ -61,8 +80,8 @@ def test_every_numbered_equation_has_a_row():
 
 
 def test_what_the_code_cites_is_there():
-    """Equations and sections of the page, in docstrings and comments."""
-    sections = set(re.findall(r"^## (\d+)\.", PAGE, re.M))
+    """Equations and sections of the pages, in docstrings and comments."""
+    sections = set(re.findall(r"^# (\d+)\.", PAGE, re.M))
     looked_at = 0
     for path in (ROOT / "src").rglob("*.py"):
         for text in texts_of(path):

@@ -104,6 +104,120 @@ def test_a_density_is_positive():
         rk.solid_body(RHO, 0.1)
 
 
+# -- bodies from CAD -------------------------------------------------------------------
+
+CLOUD = np.random.default_rng(3)
+WEIGHTS = CLOUD.uniform(10.0, 50.0, 40)  # g
+PLACES = CLOUD.normal([120.0, -40.0, 15.0], [30.0, 20.0, 9.0], (40, 3))  # mm
+
+
+def second_moments(weights, places):
+    """Sum of m r r^T: the integrals of squares and products."""
+    return np.einsum("k,ki,kj->ij", weights, places, places)
+
+
+def tensor_of(second):
+    return np.trace(second) * np.eye(3) - second
+
+
+@pytest.mark.parametrize("about", ["origin", "center of mass"])
+@pytest.mark.parametrize("products", ["tensor", "integrals"])
+def test_mass_properties_of_a_cloud_of_points(about, products):
+    """Forty masses in g and mm on the model's axes: summed there, and on the body's."""
+    mass, center = WEIGHTS.sum(), WEIGHTS @ PLACES / WEIGHTS.sum()
+    point = center if about == "center of mass" else np.zeros(3)
+    printed = tensor_of(second_moments(WEIGHTS, PLACES - point))
+    if products == "integrals":
+        printed = 2.0 * np.diag(np.diag(printed)) - printed
+    origin = np.array([100.0, -30.0, 10.0])
+    turn = Rotation.from_euler("ZXZ", [0.3, 0.8, -0.5])
+    body = rk.body_from_cad(
+        mass,
+        printed,
+        rk.Ellipsoid((0.2, 0.15, 0.1)),
+        center_of_mass=center,
+        about=about,
+        products=products,
+        units=("g", "mm"),
+        origin=origin,
+        orientation=rk.orientation_from_matrix(turn.as_matrix()),
+    )
+    own = 1e-3 * turn.inv().apply(PLACES - origin)  # m, on the surface's axes
+    kilograms = 1e-3 * WEIGHTS
+    middle = kilograms @ own / kilograms.sum()
+    wanted = tensor_of(second_moments(kilograms, own - middle))
+    np.testing.assert_allclose(body.mass, kilograms.sum(), rtol=1e-14)
+    # about the origin the tensor is some ten times larger than what is left of it
+    np.testing.assert_allclose(body.center_of_mass, middle, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(
+        body.inertia, wanted, rtol=0, atol=1e-13 * np.trace(wanted)
+    )
+
+
+@pytest.mark.parametrize("product", ["tensor", "integrals"])
+def test_a_cylinder_in_pounds_and_inches(product):
+    mass, r, h = 3.0, 2.0, 5.0  # lb, in
+    across = mass * (3 * r * r + h * h) / 12
+    closed = np.diag([across, across, 0.5 * mass * r * r])
+    body = rk.body_from_cad(
+        mass,
+        closed,
+        rk.DiscEdge(2.0 * 0.0254),
+        center_of_mass=(0, 0, 0),
+        about="center of mass",
+        products=product,
+        units=("lb", "in"),
+    )
+    unit = 0.45359237 * 0.0254**2
+    np.testing.assert_allclose(body.inertia, unit * closed, rtol=1e-14)
+    assert not np.any(np.asarray(body.inertia)[~np.eye(3, dtype=bool)])
+
+
+GIVEN = {
+    "mass": 1.0,
+    "inertia": np.diag([2.0, 3.0, 4.0]),
+    "surface": rk.Sphere(0.5),
+    "center_of_mass": (0.0, 0.0, 0.0),
+    "about": "center of mass",
+    "products": "tensor",
+}
+SKEW = [[2.0, 0.5, 0.0], [0.4, 3.0, 0.0], [0.0, 0.0, 4.0]]
+OFF = {"center_of_mass": (0.0, 0.0, 1.0), "about": "origin"}
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"about": "centroid"}, r"about: is not known.*center of mass\" or \"origin"),
+        ({"products": "positive"}, r"products: is not known.*tensor.*integrals"),
+        ({"units": ("kg", "parsec")}, r"units: are not known.*kg, g, t, lb and one of"),
+        ({"units": "SI"}, "units: are not known"),
+        ({"mass": 0.0}, r"body_from_cad\.mass"),
+        ({"inertia": SKEW}, "must be symmetric"),
+        ({"inertia": np.diag([2.0, 3.0, 6.0])}, "triangle inequality"),
+        ({"inertia": np.diag([-2.0, 3.0, 4.0])}, "must be positive definite"),
+        # about the centre of mass, but told to be about the origin, 1 m away
+        (OFF | {"inertia": np.diag([0.9, 0.9, 0.2])}, "must be positive definite"),
+        ({"orientation": (1.0, 1.0, 0.0, 0.0)}, "unit length"),
+        ({"center_of_mass": (0.0, 0.0)}, r"center_of_mass.*shape \(3\)"),
+        ({"surface": 0.1}, "must be a surface"),
+    ],
+)
+def test_impossible_mass_properties_are_refused(changed, says):
+    with pytest.raises(rk.FieldError, match=says):
+        rk.body_from_cad(**(GIVEN | changed))
+
+
+def test_mass_properties_are_differentiable():
+    """By the centre of mass c, about the origin: of I_xx = I_O - m c^2 it is -2 m c."""
+
+    def moment(c):
+        far = OFF | {"center_of_mass": jnp.stack([0.0 * c, 0.0 * c, c])}
+        return rk.body_from_cad(**(GIVEN | far)).inertia[0, 0]
+
+    assert jax.grad(moment)(0.3) == pytest.approx(-0.6, rel=1e-14)
+
+
 # -- orientations ----------------------------------------------------------------------
 
 

@@ -144,6 +144,15 @@ def test_ends_are_drawn_where_the_motion_was():
     assert tube.points[:, 2].max() == pytest.approx(2.1)
 
 
+def test_a_surface_in_a_body_is_as_wide_as_the_body():
+    """But all of it that was touched is drawn."""
+    touched = np.array([[0.2, 0.0, -0.3], [0.2, 0.0, 0.4]])
+    box = np.array([[-1.0, -1.0, -0.35], [1.0, 1.0, 0.3]])
+    tube = surface_mesh(rk.Cylinder(0.2), touched, touched, 0.1, (9, 9), within=box)
+    assert tube.points[:, 2].min() == pytest.approx(-0.35)  # not 0.1 further
+    assert tube.points[:, 2].max() == pytest.approx(0.4)  # beyond the box
+
+
 def test_places_without_a_point_are_left_out():
     bowl = rk.Graph(lambda x, y: -jnp.sqrt(0.25 - x * x - y * y))
     touched, up = np.array([[0.0, 0.0, -0.5]]), np.array([[0.0, 0.0, 1.0]])

@@ -205,7 +205,9 @@ def test_between_frames_the_page_moves_the_base_as_it_moves():
 
 def test_pictures(turntable, table, shell):
     overview = figure_overview(shell)
-    assert [panel.get_ylabel() for panel in overview.axes][-1] == "carried: α"
+    assert [panel.get_ylabel() for panel in overview.axes][
+        -1
+    ] == "carried: α [m or rad]"
     assert len(figure_overview(turntable).axes) == 4
     labels = [panel.get_ylabel() for panel in figure_overview(table).axes]
     assert "energy [J]" in labels

@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
+import rollkane as rk
+from rollkane.files.scene_files import load_scene
 from rollkane.pictures.motion_samples import motion_samples
 from rollkane.pictures.plot_path import draw_path
 from rollkane.pictures.plot_style import limits, new_figure, png
@@ -143,6 +145,26 @@ def test_path_from_above_has_equal_scales(run):
     assert (panel.get_xlabel(), panel.get_ylabel()) == ("x [m]", "y [m]")
     names = [text.get_text() for text in panel.get_legend().get_texts()]
     assert names == ["start", "end"]
+
+
+@pytest.mark.parametrize("base", [rolling_on_plane, rolling_on_sphere])
+def test_the_scale_of_times_tells_its_ends(base):
+    run = base()
+    figure = figure_contact_path(run)
+    (bar,) = [x for x in figure.axes if x.get_ylabel() == "time [s]"]
+    first, last = float(run.time[0]), float(run.time[-1])
+    assert list(bar.get_ylim()) == [first, last]
+    np.testing.assert_allclose(bar.get_yticks(), np.linspace(first, last, 5))
+    shown = [float(text.get_text()) for text in bar.get_yticklabels()]
+    np.testing.assert_allclose(shown, bar.get_yticks(), rtol=1e-2)
+
+
+def test_carried_coordinates_have_a_unit():
+    file = load_scene("shell-with-pendulum")
+    run = rk.simulate(file.scene, file.start, [0.0, 0.1, 0.2])
+    labels = [panel.get_ylabel() for panel in figure_overview(run).axes]
+    assert "carried: α [m or rad]" in labels
+    assert all("[" in label for label in labels if label)
 
 
 def test_small_paths_are_in_millimetres(run):

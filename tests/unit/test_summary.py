@@ -2,12 +2,15 @@
 
 import re
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+import rollkane as rk
 from rollkane.files.scene_files import load_scene
 from rollkane.pictures.summary import reversals, sign_changes, summary
+from rollkane.pictures.summary_by_kind import path_line
 from rollkane.simulation.run import simulate
 
 
@@ -120,3 +123,115 @@ def test_summary():
     place = listed(text, r"end position \(([-\d.e, ]+)\) m")
     np.testing.assert_allclose(place, run.position[-1], rtol=1e-5)  # of six digits
     assert "pull" not in text
+
+
+# -- what happened, by kind of scene ---------------------------------------------------
+
+
+def told(run):
+    return " ".join("\n".join(summary(run)).split())
+
+
+def test_a_disc_that_falls():
+    """Its tilt falls until it lies flat, and the run ends there."""
+    body = rk.Body(1.0, 0.01 * np.diag([0.25, 0.25, 0.5]), rk.DiscEdge(0.1))
+    scene, half = rk.Scene(body), np.radians(70.0) / 2
+    level = (np.cos(half), np.sin(half), 0.0, 0.0)
+    start = rk.place(scene, level, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    times = np.linspace(0.0, 1.0, 1001)
+    run = rk.simulate(scene, start, times)
+    assert run.code == rk.Code.SURFACE_EDGE
+    text = told(run)
+    (when,) = listed(text, r"fell flat t = ([\d.e-]+) s")
+    assert when == pytest.approx(float(run.final_time), rel=1e-5)
+    found = re.search(r"least tilt (\S+) deg to the base, t = (\S+) s", text)
+    least, at = map(float, found.groups())
+    reached = np.isfinite(np.asarray(run.position)).all(axis=1)
+    assert at == pytest.approx(times[reached][-1], rel=1e-3)
+    turned = Rotation.from_quat(np.asarray(run.orientation)[reached][:, [1, 2, 3, 0]])
+    tilt = np.degrees(np.arccos(turned.apply([0.0, 0.0, 1.0])[:, 2]))
+    assert tilt[0] == pytest.approx(70.0, rel=1e-12)
+    assert least == pytest.approx(tilt.min(), rel=1e-3)
+
+
+def test_a_ball_that_slips_and_rolls():
+    """Slips for 2 v / (7 mu g), and rolls the rest of the time."""
+    ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    start = rk.place(
+        rk.Scene(ball, contact=rk.Slipping()),
+        *((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        velocity=(2.0, 0.0, 0.0),
+    )
+    modes = rk.Modes(friction=0.3)
+    run = rk.simulate(rk.Scene(ball), start, np.linspace(0.0, 1.0, 11), modes=modes)
+    text = told(run)
+    slips = 2.0 * 2.0 / (7.0 * 0.3 * 9.81)
+    (rolled,) = listed(text, r"in all rolls ([\d.]+) s")
+    (slipped,) = listed(text, r"slips ([\d.]+) s")
+    assert slipped == pytest.approx(slips, rel=1e-3)  # four digits
+    assert rolled == pytest.approx(1.0 - slips, rel=1e-3)
+    assert "flies" not in text
+    assert "in all" not in told(simulate(*level_ball(), [0.0, 0.5]))
+
+
+def level_ball():
+    ball = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)))
+    return ball, rk.place(ball, (1, 0, 0, 0), (0.0, 3.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def test_a_base_that_moves_and_what_is_carried():
+    """Against the run's own outputs: on the base, and of its one coordinate."""
+    file = load_scene("isolator")
+    run = simulate(file.scene, file.start, file.times, rtol=file.rtol)
+    text = told(run)
+    places = np.asarray(run.contact_on_base)
+    far = np.linalg.norm(places - places[0], axis=1)
+    (said,) = listed(text, r"over the base ([\d.e-]+) m from its start")
+    assert said == pytest.approx(float(far.max()), rel=1e-3)
+    (when,) = listed(text, r"over the base [^,]+, t = ([\d.]+) s")
+    assert when == pytest.approx(float(run.time[far.argmax()]), rel=1e-3)
+    assert re.search(r"carried mass [\d.e-]+ m from its start at most", text)
+
+
+def test_the_farthest_of_several_masses():
+    """Of two pendulums at rest, one is let go from the horizontal: by 2 r sin(90/2)."""
+
+    def places(alpha):
+        one = jnp.stack([jnp.sin(alpha[0]), 0.0 * alpha[0], -jnp.cos(alpha[0])])
+        two = jnp.stack([jnp.sin(alpha[1]), 0.0 * alpha[1], -jnp.cos(alpha[1])])
+        return 0.05 * jnp.stack([one, two])
+
+    heavy = rk.Body(1e6, 4e3 * np.eye(3), rk.Sphere(0.1))  # it hardly moves
+    scene = rk.Scene(
+        heavy, supported=rk.PointMasses([1e-3, 1e-3], places, coordinates=2)
+    )
+    start = rk.place(
+        scene,
+        *((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        alpha=[0.0, 0.5 * np.pi],
+        alpha_dot=[0.0, 0.0],
+    )
+    # a quarter of its period and more: it is lowest, or on its way to the other side
+    run = simulate(scene, start, np.linspace(0.0, 0.3, 61))
+    angle = np.asarray(run.alpha)[:, 1]
+    farthest = 2 * 0.05 * np.sin(0.5 * np.max(0.5 * np.pi - angle))
+    (said,) = listed(told(run), r"carried mass 1 ([\d.e-]+) m from its start at most")
+    assert said == pytest.approx(farthest, rel=1e-3)
+
+
+def test_the_path_of_an_inner_contact():
+    """A circle in a hundred chords; in a scene it is told of each rolling body."""
+    angle = np.linspace(0.0, 2 * np.pi, 101)
+    circle = 0.3 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    text = path_line(angle, circle)
+    chords = 100 * 2 * 0.3 * np.sin(np.pi / 100)
+    assert text == (
+        f"    contact path    {chords:.4g} m long (chords), "
+        f"0.6 m from its start at most, t = {np.pi:.4g} s"
+    )
+    file = load_scene("disc-in-hoop")
+    run = simulate(file.scene, file.start, np.linspace(0.0, 0.5, 11), rtol=file.rtol)
+    places = np.asarray(run.rolling_body(0).contact_on_carrier)
+    length = np.sum(np.linalg.norm(np.diff(places, axis=0), axis=1))
+    (said,) = listed(told(run), r"contact path ([\d.]+) m long")
+    assert said == pytest.approx(length, rel=1e-3)

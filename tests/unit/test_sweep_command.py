@@ -12,6 +12,7 @@ import rollkane as rk
 from rollkane.cli import sweep_command
 from rollkane.codegen.run_watch import _WATCH
 from rollkane.files.scene_files import load_scene
+from rollkane.pictures import plot_sweep
 from tests.unit.test_cli import BALL, rollkane_with
 
 SPIN, MASS = "start.angular_velocity[2]", "body.mass"
@@ -116,6 +117,23 @@ def test_three_numbers_cannot_be_drawn(ball):
     done = rollkane_with("sweep", str(ball), *options, "--plot", "a.png")
     assert done.exit_code == 2
     assert "draws one or two numbers" in done.output
+
+
+def test_the_scale_of_colours_tells_its_ends(tmp_path, monkeypatch):
+    """The least and the greatest value, where the bar ends, with their unit."""
+    kept = []
+    monkeypatch.setattr(
+        plot_sweep, "write_picture", lambda path, figure: kept.append(figure)
+    )
+    grids = [("body.mass", (1.0, 2.0)), ("start.spin", (1.0, 2.0, 3.0))]
+    last = np.array([0.3, 0.7, 0.1, 0.2, 0.9, 0.5])
+    columns = {"spin_last": last, "outcome": np.full(6, "completed")}
+    plot_sweep.plot_sweep(grids, columns, {"spin": "rad/s"}, tmp_path / "a.png")
+    (figure,) = kept
+    (bar,) = [x for x in figure.axes if "at the end" in x.get_ylabel()]
+    assert bar.get_ylabel() == "spin [rad/s] at the end"
+    assert list(bar.get_ylim()) == [0.1, 0.9]
+    np.testing.assert_allclose(bar.get_yticks()[[0, -1]], [0.1, 0.9])
 
 
 def test_motions_that_end_early_are_counted(ball):

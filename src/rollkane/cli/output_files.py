@@ -11,11 +11,14 @@ from typing import Any
 import click
 
 from ..files.file_endings import (
+    ANIMATIONS,
     JSON,
+    MODELS,
     NETCDF,
     PAGES,
     PICTURES,
     TABLES,
+    VIDEOS,
     ending,
     wrong_ending,
 )
@@ -27,6 +30,9 @@ _NEEDS = {
     "plot": (PICTURES, ("matplotlib",), "plot"),
     "path": (PICTURES, ("matplotlib",), "plot"),
     "view": (PAGES, (), ""),
+    "gif": (ANIMATIONS, ("PIL",), "film"),
+    "mp4": (VIDEOS, ("PIL", "imageio_ffmpeg"), "film"),
+    "glb": (MODELS, (), ""),
     "json": (JSON, (), ""),
     "report": (PAGES, ("matplotlib",), "plot"),
 }
@@ -129,6 +135,14 @@ def _writer(name: str, target: Path) -> Callable[[Any, Path, str], None]:
         from ..pictures.viewer import write_view
 
         return write_view
+    if name in ("gif", "mp4"):
+        from ..pictures.film import write_film
+
+        return write_film
+    if name == "glb":
+        from ..pictures.gltf import write_glb
+
+        return write_glb
     from ..pictures.plotting import plot_contact_path, plot_overview
 
     return plot_overview if name == "plot" else plot_contact_path

@@ -22,6 +22,8 @@ from .waiting import INTERRUPTED, waited
 
 # a run that took this long is not repeated to tell compiling from running [s]
 _SHORT = 3.0
+# files that it writes, by their options
+_WRITTEN = "out", "plot", "path", "view", "gif", "mp4", "glb"
 # that --json has of the first and the last output that was reached
 _TOLD = (
     *("position", "velocity", "orientation", "angular_velocity"),
@@ -92,6 +94,9 @@ def run_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--plot", type=click.Path(), help="Picture: spin, tilt, energy, force.")
 @click.option("--path", type=click.Path(), help="Picture: path of the contact point.")
 @click.option("--view", type=click.Path(), help="HTML page that shows the motion.")
+@click.option("--gif", type=click.Path(), help="Film: animated picture.")
+@click.option("--mp4", type=click.Path(), help="Film: video, H.264.")
+@click.option("--glb", type=click.Path(), help="Moving model: binary glTF 2.0.")
 @set_option
 @run_options
 @click.option(
@@ -121,7 +126,7 @@ def simulate(
     written; 3: the motion could not be followed to its end, 130: Ctrl-C; what was
     reached is written.
     """
-    asked = {name: options.pop(name) for name in ("out", "plot", "path", "view")}
+    asked = {name: options.pop(name) for name in _WRITTEN}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, force=force)
     start_jax()

@@ -62,12 +62,17 @@ def solid_body(density: ArrayLike, surface: AbstractSurface) -> Body:
     trace = about[0, 0] + about[1, 1] + about[2, 2]
     inertia = rho * (trace * jnp.eye(3, dtype=about.dtype) - about)
     length = jnp.sqrt(trace / volume)
-    inertia, center = _rounded(inertia, rho * trace), _rounded(center, length)
+    inertia, center = rounded(inertia, rho * trace), rounded(center, length)
     return Body(rho * volume, inertia, surface, center)
 
 
-def _rounded(values: Any, size: Any) -> Any:
-    """What is zero but for rounding as zero, of which the equations take no account."""
+def rounded(values: Any, size: Any) -> Any:
+    """What is zero but for rounding as zero, of which the equations take no account.
+
+    Args:
+        values: Known or traced numbers.
+        size: What they would be if they were large.
+    """
     if is_traced(values, size):
         return values
     known = np.array(values)

@@ -10,6 +10,9 @@ NETCDF = (".nc", ".nc4", ".h5", ".hdf5")  # NetCDF-4 is HDF5
 TABLES = (".csv",)
 PAGES = (".html", ".htm")
 JSON = (".json",)
+ANIMATIONS = (".gif",)
+VIDEOS = (".mp4",)
+MODELS = (".glb",)
 
 
 def ending(path: object) -> str:

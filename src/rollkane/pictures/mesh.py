@@ -50,6 +50,7 @@ def surface_mesh(
     outward: np.ndarray,
     size: float,
     counts: tuple[int, int] = (89, 45),
+    within: np.ndarray | None = None,
 ) -> Mesh:
     """A surface, or as much of it as a motion uses.
 
@@ -59,6 +60,8 @@ def surface_mesh(
         outward: Unit normals out of the material there [1], shape (k, 3).
         size: Margin that is drawn around them where a surface has no end [m].
         counts: Points along the two directions of the chart.
+        within: Lowest and highest corner of the box that it lies in where it has no end
+            itself [m], shape (2, 3): of the body in which it is; None: no box.
 
     Returns:
         The mesh; places where the chart is not finite are left out (all of them:
@@ -69,7 +72,7 @@ def surface_mesh(
     if isinstance(surface, Ring):
         radius = float(surface.radius)
         surface = Torus(radius, _WIRE * radius)
-    places, marks = _grid(surface, _domain(surface, touched, size), counts)
+    places, marks = _grid(surface, _domain(surface, touched, size, within), counts)
     points = places.reshape(-1, 3)
     triangles = _triangles(points, counts)
     normals = _normals(points, triangles)
@@ -83,6 +86,19 @@ def surface_mesh(
         corners.reshape(-1, 3),
         _cells(places),
     )
+
+
+def body_mesh(
+    surface: AbstractSurface,
+    touched: np.ndarray,
+    outward: np.ndarray,
+    size: float,
+    within: np.ndarray | None = None,
+) -> Mesh:
+    """A body: :func:`surface_mesh`, or a plate where it is flat."""
+    if surface.is_flat:
+        return plate_mesh(touched, size)
+    return surface_mesh(surface, touched, outward, size, within=within)
 
 
 def plate_mesh(touched: np.ndarray, size: float) -> Mesh:
@@ -129,10 +145,18 @@ def body_size(body: Body, touched: np.ndarray) -> float:
     return float(max(np.max(reach, initial=0.0), 1.5 * gyration))
 
 
-def _domain(surface: AbstractSurface, touched: np.ndarray, size: float) -> np.ndarray:
+def _domain(
+    surface: AbstractSurface,
+    touched: np.ndarray,
+    size: float,
+    within: np.ndarray | None,
+) -> np.ndarray:
     """Ranges of the chart to draw, shape (2, 2)."""
     domain = np.asarray(surface.chart_domain, dtype=float)
     low, high = touched.min(axis=0) - size, touched.max(axis=0) + size
+    if within is not None:  # but all that was touched
+        low = np.maximum(low, np.minimum(within[0], touched.min(axis=0)))
+        high = np.minimum(high, np.maximum(within[1], touched.max(axis=0)))
     if isinstance(surface, Cone):
         reach = np.max(np.hypot(touched[:, 0], touched[:, 1])) + size
         domain = np.array([[0.0, reach], [-np.pi, np.pi]])

@@ -225,6 +225,27 @@ def motion_samples(trajectory: Trajectory) -> MotionSamples:
     )
 
 
+def reached_samples(trajectory: Trajectory) -> tuple[MotionSamples, np.ndarray]:
+    """What a run reached, for drawing.
+
+    Args:
+        trajectory: One run, not a batch.
+
+    Returns:
+        The samples, and their row numbers among the outputs, shape (T,), T > 0.
+
+    Raises:
+        FieldError: a batch, or a run of which no state is finite.
+    """
+    motion = motion_samples(trajectory)
+    rows = np.flatnonzero(motion.reached)
+    if not rows.size:
+        problem = "holds no state that could be shown"
+        remedy = "repair the start"
+        raise FieldError("trajectory", trajectory.reason, problem, remedy)
+    return motion.rows(rows), rows
+
+
 def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:
     """All quantities of one state in the order of ``_SIZES``, then what is carried."""
     contact = contact_of(scene, t, state)

@@ -57,7 +57,7 @@ def draw_path(
     panel.set_ylabel(f"y{whose} [{unit}]")
     dress(panel)
     if colorbar and kept.time.size > 1:
-        _time_scale(panel, lines)
+        _time_scale(panel, lines, kept.time)
 
 
 def draw_path_in_space(
@@ -112,7 +112,7 @@ def draw_path_in_space(
     panel.grid(False)
     panel.tick_params(colors=INK, labelsize=8)
     if kept.time.size > 1:
-        _time_scale(panel, lines)
+        _time_scale(panel, lines, kept.time)
 
 
 def _turn_towards(panel: _Axes3D, outward: np.ndarray) -> np.ndarray:
@@ -169,9 +169,13 @@ def _mark_ends(panel: "Axes | _Axes3D", *columns: np.ndarray) -> None:
     panel.legend(loc="upper right", fontsize=9, framealpha=0.9, edgecolor=FAINT)
 
 
-def _time_scale(panel: "Axes | _Axes3D", lines: "Collection") -> None:
+def _time_scale(panel: "Axes | _Axes3D", lines: "Collection", time: np.ndarray) -> None:
+    """A scale from the first time to the last, both of which are told."""
+    first, last = float(time[0]), float(time[-1])
+    lines.set_clim(min(first, last), max(first, last))
     bar: Any = panel.figure.colorbar(lines, ax=panel, shrink=0.9, aspect=28)
     bar.set_label("time [s]", color=INK)
+    bar.set_ticks(np.linspace(first, last, 5).tolist())
     bar.solids.set_alpha(1.0)
     bar.ax.tick_params(colors=INK, labelsize=9)
     bar.outline.set_visible(False)

@@ -262,7 +262,7 @@ def _draw_alpha(panel: "Axes", motion: MotionSamples) -> None:
         color, dashes = LINES[k % len(LINES)]
         _curve(panel, motion, values, color, f"α{_INDEX[k % 10]}", dashes)
     panel.set_ylim(*limits(motion.alpha, 0.08, 1e-6))
-    panel.set_ylabel("carried: α")
+    panel.set_ylabel("carried: α [m or rad]")
     if count > 1:
         panel.legend(loc="upper right", ncols=min(count, 6), fontsize=8, frameon=False)
 

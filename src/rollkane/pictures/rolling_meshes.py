@@ -10,8 +10,9 @@ import numpy as np
 from ..dynamics.abstract_supported import rolling_parts
 from ..dynamics.rolling_bodies import RollingBody
 from ..dynamics.scene import Scene
+from ..geometry.numpy_rotations import rotated
 from ..geometry.surfaces import AbstractSurface
-from .mesh import Mesh, body_size, plate_mesh, surface_mesh
+from .mesh import Mesh, body_mesh, body_size
 from .motion_samples import MotionSamples
 
 
@@ -34,8 +35,16 @@ class RollingMeshes(NamedTuple):
     turn: np.ndarray
 
 
-def rolling_meshes(scene: Scene, motion: MotionSamples) -> list[RollingMeshes]:
-    """Of every rolling body, in the order of ``MotionSamples.rolling``."""
+def rolling_meshes(
+    scene: Scene, motion: MotionSamples, outermost: Mesh
+) -> list[RollingMeshes]:
+    """Of every rolling body, in the order of ``MotionSamples.rolling``.
+
+    Args:
+        scene: Of the motion.
+        motion: What is drawn.
+        outermost: Mesh of the body in or on which they all roll.
+    """
     found: list[RollingMeshes] = []
     for k, (part, carrier, outer) in enumerate(_bodies(scene)):
         column: Callable[[str], np.ndarray] = functools.partial(
@@ -43,14 +52,16 @@ def rolling_meshes(scene: Scene, motion: MotionSamples) -> list[RollingMeshes]:
         )
         touched = column("contact_on_body")
         size = body_size(part.body, touched)
-        body = _mesh(part.body.surface, touched, column("body_outward"), size)
+        body = body_mesh(part.body.surface, touched, column("body_outward"), size)
         on = None
-        moved = part.position is not None or part.rotation is not None
-        if moved or not eqx.tree_equal(part.on, outer):
-            places = column("contact_on_carrier")
-            on = _mesh(part.on, places, column("carrier_outward"), 1.3 * size)
         place = np.zeros(3) if part.position is None else np.asarray(part.position)
         turn = np.eye(4)[0] if part.rotation is None else np.asarray(part.rotation)
+        moved = part.position is not None or part.rotation is not None
+        if moved or not eqx.tree_equal(part.on, outer):
+            places, out = column("contact_on_carrier"), column("carrier_outward")
+            around = outermost if carrier < 0 else found[carrier].body
+            box = _box(around, place, turn)
+            on = body_mesh(part.on, places, out, 1.3 * size, box)
         found.append(RollingMeshes(body, on, carrier, place, turn))
     return found
 
@@ -67,9 +78,10 @@ def _bodies(
         first += 1 + len(inner)
 
 
-def _mesh(
-    surface: AbstractSurface, touched: np.ndarray, outward: np.ndarray, size: float
-) -> Mesh:
-    if surface.is_flat:
-        return plate_mesh(touched, size)
-    return surface_mesh(surface, touched, outward, size)
+def _box(carrier: Mesh, place: np.ndarray, turn: np.ndarray) -> np.ndarray | None:
+    """Box of a carrier on the axes of a surface in it, shape (2, 3)."""
+    if not carrier.points.size:
+        return None
+    back = turn * np.array([1.0, -1.0, -1.0, -1.0])
+    points = rotated(back, carrier.points - place)
+    return np.stack([points.min(axis=0), points.max(axis=0)])

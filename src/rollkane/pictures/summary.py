@@ -11,9 +11,10 @@ from ..dynamics.rolling import contact_of, rolling_derivative
 from ..dynamics.rolling_body_observables import paths_of_rolling
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
-from ..hybrid.modes import Mode, Switches
+from ..hybrid.modes import Switches
 from ..simulation.trajectory import Trajectory
 from .motion_samples import MotionSamples, motion_samples
+from .summary_by_kind import DOES, line, mode_line, path_line, what_happened
 
 _MOST_LISTED = 12
 _SIDE = 0.2  # of the largest spin: a ripple about zero that is smaller turns nothing
@@ -23,7 +24,6 @@ _WHAT_REVERSES = (
 _ROUNDING = 1e-9  # of the largest angular speed: a smaller spin has no sign to change
 _NO_WEIGHT = 1e-12  # [m/s^2], far below any load, above rounding
 _NO_FRICTION = 1e-12  # rounding of forces
-_DOES = {Mode.ROLLING: "rolls", Mode.SLIPPING: "slips", Mode.FLYING: "flies"}
 _SHOWN = 8  # changes of the contact
 _CLOSE = 1e-9  # of the spacing of the samples
 
@@ -37,11 +37,14 @@ def summary(trajectory: Trajectory) -> list[str]:
     Returns:
         Lines: spin about the base's normal and about the body's axis next to it
         [rad/s] before and after, when they reversed [s], other than by a ripple about
-        zero, where the body's origin came to [m], relative drift of the energy that has
-        to be kept [1] or how it changed [J], when the contact changed [s] in a run with
-        ``modes``, steps, the normal force [N] (or when the contact would first have had
-        to pull), the friction coefficient that rolling needed [1], and of each body
-        that rolls on or in the body where it came to [m] and its normal force [N].
+        zero, where the body's origin came to [m], what happened by kind of scene
+        (:func:`rollkane.pictures.summary_by_kind.what_happened`), relative drift of the
+        energy that has to be kept [1] or how it changed [J], when the contact changed
+        [s] in a run with ``modes`` and how long it rolled, slipped and flew, steps, the
+        normal force [N] (or when the contact would first have had to pull), the
+        friction coefficient that rolling needed [1], and of each body that rolls on or
+        in the body where it came to, the path of its contact on its carrier [m] and its
+        normal force [N].
 
     Raises:
         FieldError: a batch.
@@ -53,13 +56,14 @@ def summary(trajectory: Trajectory) -> list[str]:
         motion = motion.rows(rows)
         lines += _spin_lines(trajectory, motion, rows)
         lines.append(_place_line(motion))
+        lines += what_happened(trajectory, motion)
         lines.append(_energy_line(motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
-    lines += _switch_lines(trajectory.switches)
+    lines += _switch_lines(trajectory.switches) + mode_line(trajectory)
     loop = "in C" if trajectory.method == "native" else "by diffrax"
     if trajectory.switches is not None:
         loop = "with modes"
-    lines.append(_line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
+    lines.append(line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
     if rows.size:
         lines += _force_lines(trajectory, motion)
         for k, path in enumerate(paths_of_rolling(trajectory.scene)):
@@ -73,19 +77,19 @@ def _switch_lines(switches: Switches | None) -> list[str]:
         return []
     count = int(switches.count)
     if not count:
-        return [_line("contact", "never changed")]
+        return [line("contact", "never changed")]
     times, before, after = map(
         np.asarray, (switches.time, switches.before, switches.after)
     )
     lines = [
-        _line(
+        line(
             "contact" if i == 0 else "",
-            f"{_DOES[before[i]]} -> {_DOES[after[i]]} at t = {times[i]:.6g} s",
+            f"{DOES[before[i]]} -> {DOES[after[i]]} at t = {times[i]:.6g} s",
         )
         for i in range(min(count, _SHOWN))
     ]
     more = count - len(lines)
-    return [*lines, _line("", f"and {more} more changes")] if more else lines
+    return [*lines, line("", f"and {more} more changes")] if more else lines
 
 
 def sign_changes(
@@ -158,10 +162,6 @@ def reversals(
     return np.array([zeros[count - 1] for count in before if count])
 
 
-def _line(name: str, text: str) -> str:
-    return f"  {name:<18}{text}"
-
-
 def _spin_lines(
     trajectory: Trajectory, motion: MotionSamples, rows: np.ndarray
 ) -> list[str]:
@@ -179,10 +179,10 @@ def _spin_lines(
     for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
         spin = spins[:, k]
         lines.append(
-            _line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about {about}")
+            line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about {about}")
         )
         if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
-            lines.append(_line("  reversals", "none"))
+            lines.append(line("  reversals", "none"))
             continue
         times = reversals(motion.time, spin, rates[:, k], _SIDE)
         listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
@@ -190,11 +190,11 @@ def _spin_lines(
             listed += f" and {times.size - _MOST_LISTED} more"
         if times.size:
             lines.append(
-                _line(f"  {times.size} reversal{'s' * (times.size > 1)}", listed)
+                line(f"  {times.size} reversal{'s' * (times.size > 1)}", listed)
             )
-            lines.append(_line("", _WHAT_REVERSES))
+            lines.append(line("", _WHAT_REVERSES))
         else:
-            lines.append(_line("  reversals", "none"))
+            lines.append(line("  reversals", "none"))
     return lines
 
 
@@ -203,28 +203,28 @@ def _place_line(motion: MotionSamples) -> str:
     start, end = motion.position[0], motion.position[-1]
     at = ", ".join(f"{x:.6g}" for x in end)
     far = f"{np.linalg.norm(end - start):.4g} m from the start"
-    return _line("end position", f"({at}) m, {far}")
+    return line("end position", f"({at}) m, {far}")
 
 
 def _energy_line(motion: MotionSamples) -> str:
     """Drift of the energy that the motion has to keep; else how it changed."""
     if not motion.kept:
         change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
-        return _line("energy", f"{change}, by the base and forces that do work")
+        return line("energy", f"{change}, by the base and forces that do work")
     drift = f"{np.nanmax(motion.energy_error):.1e}"
     if motion.kept == "energy":
-        return _line("energy drift", drift)
-    return _line("energy drift", f"{drift} of the moving energy E - w_c . J")
+        return line("energy drift", drift)
+    return line("energy drift", f"{drift} of the moving energy E - w_c . J")
 
 
 def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
     press, time = motion.normal_force, motion.time
     mass = float(trajectory.scene.body.mass)
     if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:
-        return [_line("normal force", "none")]
+        return [line("normal force", "none")]
     least = int(np.argmin(press))
     lines = [
-        _line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
+        line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
     ]
     pull = float(trajectory.first_pull)
     if not np.isnan(pull):
@@ -242,7 +242,7 @@ def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
             text = "none"
         if not np.all(pressed):
             text += " (while pressed together)"
-        lines.append(_line("friction needed", text))
+        lines.append(line("friction needed", text))
     return lines
 
 
@@ -254,8 +254,9 @@ def _rolling_lines(motion: MotionSamples, k: int, path: tuple[int, ...]) -> list
     least = int(np.argmin(press))
     text = f"{press[least]:.4g} N at least, t = {motion.time[least]:.4g} s"
     lines = [
-        _line(name, f"ends at ({', '.join(f'{x:.4g}' for x in place)}) m"),
-        _line("  normal force", text),
+        line(name, f"ends at ({', '.join(f'{x:.4g}' for x in place)}) m"),
+        path_line(motion.time, motion.rolling_column(k, "contact_on_carrier")),
+        line("  normal force", text),
     ]
     if press[least] < 0.0:
         when = motion.time[np.argmax(press < 0.0)]

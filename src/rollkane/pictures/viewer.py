@@ -20,8 +20,8 @@ from ..files.atomic_file import write_whole
 from ..files.file_endings import PAGES, wrong_ending
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
-from .mesh import Mesh, body_size, plate_mesh, surface_mesh
-from .motion_samples import MotionSamples, motion_samples
+from .mesh import Mesh, body_mesh, body_size, surface_mesh
+from .motion_samples import MotionSamples, reached_samples
 from .rolling_meshes import RollingMeshes, rolling_meshes
 
 # More frames would only make the page larger: it moves smoothly between them.
@@ -147,16 +147,7 @@ def view_data(
     if len(ghosts) > MOST_GHOSTS:
         remedy = f"give {MOST_GHOSTS} at most, such as every n-th member"
         raise FieldError("ghosts", len(ghosts), "are too many for one picture", remedy)
-    motion = motion_samples(trajectory)
-    reached = np.flatnonzero(motion.reached)
-    if not reached.size:
-        raise FieldError(
-            "trajectory",
-            trajectory.reason,
-            "holds no state that could be shown",
-            "repair the start",
-        )
-    motion = motion.rows(reached)
+    motion, reached = reached_samples(trajectory)
     scene = trajectory.scene
     forces = np.linalg.norm(motion.contact_force, axis=1)
     note = ""
@@ -183,13 +174,14 @@ def _shapes(trajectory: Trajectory, motion: MotionSamples) -> dict[str, Any]:
     """How large the body is, and meshes."""
     scene = trajectory.scene
     size = body_size(scene.body, motion.contact_on_body)
-    body = _body_mesh(trajectory, motion, size)
+    touched, outward = motion.contact_on_body, motion.body_outward
+    body = body_mesh(scene.body.surface, touched, outward, size)
     if body.points.size:
         size = float(np.max(np.linalg.norm(body.points, axis=1)))
     return {
         "size": size,
         "body": _mesh_data(body),
-        "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion)],
+        "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion, body)],
         "base": _base_data(trajectory, motion, size),
     }
 
@@ -263,13 +255,6 @@ def _ghost_frames(trajectory: Trajectory) -> dict[str, Any]:
     kept = finite[_kept_rows(len(finite), _GHOST_FRAMES)]
     packed = {name: _packed(columns[name][kept], "float32") for name in _OF_GHOSTS}
     return packed | {"time": _packed(columns["time"][kept], "float64")}
-
-
-def _body_mesh(trajectory: Trajectory, motion: MotionSamples, size: float) -> Mesh:
-    surface = trajectory.scene.body.surface
-    if surface.is_flat:
-        return plate_mesh(motion.contact_on_body, size)
-    return surface_mesh(surface, motion.contact_on_body, motion.body_outward, size)
 
 
 def _base_data(

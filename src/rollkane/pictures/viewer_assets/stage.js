@@ -47,23 +47,39 @@ rollkane.checker = ([columns, rows]) => {
   return texture;
 };
 
-rollkane.lattice = ([columns, rows]) => {
-  const { base, line } = rollkane.colors;
-  const texture = rollkane.canvas(2048, 1024, (pen, width, height) => {
-    pen.fillStyle = base;
-    pen.fillRect(0, 0, width, height);
-    pen.fillStyle = line;
-    // squares of equal sides: lines of equal widths on the surface, not on the canvas
-    const [across, down] = [width / columns / 2, height / rows / 2];
-    for (let i = 0; i <= 2 * columns; i += 1) {
-      pen.fillRect((i - 0.02) * across, 0, 0.04 * across, height);
-    }
-    for (let j = 0; j <= 2 * rows; j += 1) {
-      pen.fillRect(0, (j - 0.02) * down, width, 0.04 * down);
-    }
-  });
-  texture.colorSpace = THREE.SRGBColorSpace;
-  return texture;
+// Lines on a curved base where two of its coordinates are multiples of a spacing [m]: of
+// x, y and z the two that are most along the surface. Lines that would run into each
+// other, where it is steep, fade.
+rollkane.scale = (spacing, [first, second]) => (material) => {
+  material.color.set(rollkane.colors.base);
+  material.onBeforeCompile = (shader) => {
+    shader.uniforms.spacing = { value: spacing };
+    shader.uniforms.lineColor = { value: new THREE.Color(rollkane.colors.line) };
+    shader.vertexShader = shader.vertexShader
+      .replace("#include <common>", "#include <common>\nvarying vec3 vPlace;")
+      .replace("#include <begin_vertex>", "#include <begin_vertex>\nvPlace = position;");
+    shader.fragmentShader = shader.fragmentShader
+      .replace("#include <common>", `#include <common>
+        varying vec3 vPlace;
+        uniform float spacing;
+        uniform vec3 lineColor;`)
+      .replace("#include <map_fragment>", `
+        vec2 at = vec2(vPlace.${first}, vPlace.${second}) / spacing;
+        vec2 pixel = max(fwidth(at), 1e-6);
+        vec2 away = abs(fract(at - 0.5) - 0.5) / pixel;
+        vec2 near = clamp(1.2 - away, 0.0, 1.0) * (1.0 - smoothstep(0.1, 0.4, pixel));
+        diffuseColor.rgb = mix(diffuseColor.rgb, lineColor, max(near.x, near.y));`);
+  };
+};
+
+// The two axes that are most along a surface whose normals are given.
+rollkane.along = (motion) => {
+  const sizes = [0, 0, 0];
+  for (let k = 0; k < motion.count; k += 1) {
+    motion.row(motion.baseNormals, k).forEach((x, i) => { sizes[i] += x * x; });
+  }
+  const across = sizes.indexOf(Math.max(...sizes));
+  return ["x", "y", "z"].filter((_, i) => i !== across);
 };
 
 // Points of a mesh [m]; they come as shares of their box.
@@ -86,9 +102,9 @@ rollkane.geometry = (mesh) => {
 
 // A surface that is opaque from the side of its normals and a veil from behind, so that
 // one looks into hollows.
-rollkane.cutaway = (geometry, texture) => {
+rollkane.cutaway = (geometry, finish) => {
   const group = new THREE.Group();
-  const common = { map: texture, roughness: 0.75, polygonOffset: true };
+  const common = { roughness: 0.75, polygonOffset: true };
   const front = new THREE.MeshStandardMaterial({
     ...common,
     side: THREE.FrontSide,
@@ -103,6 +119,7 @@ rollkane.cutaway = (geometry, texture) => {
     depthWrite: false,
   });
   for (const material of [front, veil]) {
+    finish(material);
     const part = new THREE.Mesh(geometry, material);
     part.receiveShadow = material === front;
     part.renderOrder = material === front ? 0 : 5;
@@ -199,8 +216,10 @@ rollkane.Stage = class {
       const { center, radius } = rollkane.reached(motion, box);
       this.base.add(rollkane.ground(center, radius, this.spacing));
     } else if (data.base) {
+      this.spacing = rollkane.roundLength(0.3 * box.radius);
       const geometry = rollkane.geometry(data.base);
-      this.base.add(rollkane.cutaway(geometry, rollkane.lattice(data.base.cells)));
+      const lines = rollkane.scale(this.spacing, rollkane.along(motion));
+      this.base.add(rollkane.cutaway(geometry, lines));
     }
     this.onBase = new rollkane.Trace(
       this.path("contact_on_base", motion.baseNormals), colors.baseTrace);
@@ -255,7 +274,7 @@ rollkane.Stage = class {
     const geometry = rollkane.geometry(mesh);
     const texture = rollkane.checker(mesh.cells);
     const shell = mesh.hollow
-      ? rollkane.cutaway(geometry, texture)
+      ? rollkane.cutaway(geometry, (material) => { material.map = texture; })
       : new THREE.Mesh(
           geometry,
           new THREE.MeshStandardMaterial({
