@@ -67,6 +67,7 @@ def run_program(text, folder):
 LONG = ("events.md", "fit.md", "monte_carlo.md", "periodic.md", "steady.md")
 LONG += ("control.md", "distributions.md", "rolling_contacts.md")
 LONG += ("sensitivity_indices.md", "rolling-on-rolling.md")
+LONG += ("contributing.md", "ensembles.md")
 IN_ORDER = (
     "start.md",
 )  # its programs read what its commands wrote: test_start_page.py

@@ -67,10 +67,8 @@ def ball_in_sphere():
 SCENES = {"bowl": in_bowl, "disc": upright_disc, "sphere": ball_in_sphere}
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["bowl", *(pytest.param(n, marks=pytest.mark.slow) for n in ("disc", "sphere"))],
-)
+@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.slow
 def test_same_motion(name):
     scene, start = SCENES[name]()
     free = rk.simulate(scene, start, TIMES, rtol=RTOL)

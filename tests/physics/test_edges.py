@@ -105,6 +105,7 @@ def test_members_of_an_ensemble_lie_down_at_their_own_times():
     np.testing.assert_allclose(runs.final_time, wanted, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_on_a_hill_a_disc_stops_and_a_wire_goes_round():
     """The same motion until the disc would pass on to its face."""
     spin = (0.3, 0.2, 1.0)

@@ -26,6 +26,7 @@ def counts(motion):
     return sign.positive, sign.negative, sign.zero
 
 
+@pytest.mark.slow
 def test_a_loaded_ball_at_rest():
     """Of three velocities and two tilts; tilts raise the mass centre, or lower it."""
     scene = loaded((0.004, 0.0042, 0.003))
@@ -122,6 +123,7 @@ def test_rest_in_a_spinning_bowl(rate, negative, stable):
         assert sorted(sign.modes) == [0, 0, 1, 1]
 
 
+@pytest.mark.slow
 def test_where_none_is_told():
     """Of a rattleback's spin: no momentum that is kept has the energy's slope."""
     inertia = [[2e-4, -2e-5, 0.0], [-2e-5, 1.6e-3, 0.0], [0.0, 0.0, 1.7e-3]]

@@ -120,6 +120,7 @@ def stones(depths):
     return made(jnp.linspace(0.5, 2.0, 9), depths), start
 
 
+@pytest.mark.slow
 def test_scenes_that_differ_on_a_moving_base():
     """One start, masses of their own; a kink that is no output."""
     scenes, start = stones(jnp.asarray(0.05))
@@ -287,6 +288,7 @@ def test_derivatives_go_through_the_ensemble(method):
     np.testing.assert_allclose(*moved, rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_runs_with_modes_are_native_each_by_itself():
     """A ball that may bounce is where simulate has it."""
     scene = rk.Scene(rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1)))

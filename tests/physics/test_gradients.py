@@ -13,7 +13,6 @@ import pytest
 import rollkane as rk
 
 from .. import problems
-from ..quick import slow_but
 
 
 def x_of_disc(spin, end, rtol=1e-10):
@@ -208,7 +207,8 @@ def test_times_are_differentiated_too():
     np.testing.assert_allclose(back, ahead, atol=1e-12)
 
 
-@pytest.mark.parametrize("method", slow_but(["native"], ["native", "diffrax"]))
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+@pytest.mark.slow
 def test_second_derivatives(method):
     """Forward over forward and forward over reverse; over several recorded states."""
 

@@ -65,6 +65,7 @@ def test_members_go_back_along_their_own_steps(monkeypatch):
     assert [own for own in made if own is not None]  # in lanes
 
 
+@pytest.mark.slow
 def test_batches_of_batches():
     masses, spins = jnp.array([0.9, 1.1, 1.3]), jnp.linspace(1.0, 2.0, 5)
     slope = jax.grad(looked, 1)

@@ -199,6 +199,7 @@ def two_balls(q, u, sizes, masses, bowl):
     return np.linalg.solve(np.stack(columns, axis=1), -free)
 
 
+@pytest.mark.slow
 def test_two_balls_against_multipliers():
     """Accelerations and both forces of a ball on a ball in a bowl."""
     (r1, r2), (m1, m2), bowl = (0.3, 0.2), (2.0, 0.9), 1.5

@@ -119,4 +119,5 @@ def test_progress_is_told():
     runs, chi2 = np.array(told).T
     assert np.all(np.diff(runs) > 0)
     assert runs[-1] <= found.rollouts
-    assert found.chi2 in chi2
+    # it is evaluated once more, by another program: some 200 sums of squares, rounded
+    assert np.min(np.abs(chi2 - found.chi2)) < 200 * 1e-16 * found.chi2

@@ -94,6 +94,7 @@ viscous = 0.02
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_the_command_line_changes_modes(tmp_path):
     """It grips at 2 v / (7 mu g), as from Python."""
     path = write(tmp_path, BALL + MODES)

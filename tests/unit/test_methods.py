@@ -87,10 +87,12 @@ def test_batches_and_derivatives_of_runs_with_modes_are_native_too():
     spins = jnp.array([3.0, 7.0, 20.0])
     one = jax.jit(end)
     many = jax.jit(jax.vmap(end)).lower(spins)
-    assert programs_in(one.lower(spins[0])) == programs_in(many) != set()
-    # the same program: each member by itself
+    assert len(programs_in(one.lower(spins[0]))) == 1
+    # a start, steps of which those that are plain go in lanes, and an end
+    assert len(programs_in(many)) == 3
     ends = many.compile()(spins)
-    np.testing.assert_array_equal(ends, [one(spin) for spin in spins])
+    # rounding of some tens of steps with eight bounces
+    np.testing.assert_allclose(ends, [one(spin) for spin in spins], rtol=1e-12)
     back = jax.jit(jax.vmap(jax.grad(end))).lower(spins)
     forth = jax.jit(lambda x: jax.jvp(end, (x,), (jnp.ones_like(x),))[1])
     # with their steps recorded, and then pulled back or pushed on

@@ -160,6 +160,7 @@ def rolls_by_definition(found):
 PAIR = ("torus", "ellipsoid")
 
 
+@pytest.mark.slow
 def test_with_slip_and_without_spin():
     normal = rolled(*PAIR).normal
     R = np.asarray(rolled(*PAIR).rotation)

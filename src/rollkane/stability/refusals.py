@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from ..validation.checks import FieldError
-from .newton import SMALL, SOLVED, Asked, Point, Solved, followed, solved
+from .newton import ROUNDING, SMALL, SOLVED, Asked, Point, Solved, followed, solved
 
 # Of a quantity's change along a symmetry, beside its largest change. The symmetry's own
 # numbers are known to 1e-9 (what it was found by), slopes better; what a symmetry does
@@ -19,6 +19,8 @@ _CREEPS = 1e-6
 # Of the rates of the guess: what is slower has come to rest, and what is faster has run
 # away, to where accelerations that are left count as small beside the speed.
 _RESTS, _AWAY = 1e-3, 10.0
+# A solution's rates are known to its steps times what curvatures multiply them by
+_LEFT = 100.0
 
 
 def refuse_moving(field: str, asked: Asked, point: Point) -> None:
@@ -96,6 +98,20 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
         "body of revolution)"
     )
     raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
+
+
+def refuse_rest_that_is_none(asked: Asked, state: Any, found: Solved) -> None:
+    """Refuse a search that crept towards rest until what was left counted as solved.
+
+    Where families meet at rest what is left falls with the square of the speed, so that
+    any state counts as steady that is slow enough. A motion at rest to which Newton's
+    method leads is there to rounding.
+    """
+    faster = _faster(asked, state, found.point)
+    local, size = found.point.local, found.point.size
+    moves = float(np.linalg.norm(local.rates / size))
+    if faster < _CREEPS and moves > _LEFT * max(found.error, ROUNDING):
+        _refuse_creeping(state, found, faster)
 
 
 def _faster(asked: Asked, state: Any, point: Point) -> float:

@@ -29,7 +29,12 @@ from .newton import (
 )
 from .problem import AbstractProblem, rolling_problem
 from .quantities import held_quantities
-from .refusals import refuse_moving, refuse_overheld, refuse_unsolved
+from .refusals import (
+    refuse_moving,
+    refuse_overheld,
+    refuse_rest_that_is_none,
+    refuse_unsolved,
+)
 from .spectrum import Spectrum, spectrum
 from .symmetries import symmetries
 
@@ -169,6 +174,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     found = solved(asked, state, xi, 0.0, program=program)
     if not found.error < SOLVED:
         refuse_unsolved(asked, state, found)
+    refuse_rest_that_is_none(asked, state, found)
     return motion_of(asked, found)
 
 
