@@ -59,6 +59,7 @@ def test_a_sleeping_top_is_definite_above_its_threshold(share):
     assert sign.modes == ((1,) * 4 if share > 1.0 else (0,) * 4)
 
 
+@pytest.mark.slow
 def test_a_balanced_ball_spins_about_its_axes_as_a_free_body_does():
     """Chaplygin's ball: definite about the largest and least moment of inertia.
 

@@ -247,6 +247,7 @@ def test_members_that_are_made_when_needed(runs):
     )
 
 
+@pytest.mark.slow
 def test_what_is_made_alike_for_all_is_shared():
     """Of what functions of the member's number make, each time anew."""
 
@@ -267,7 +268,9 @@ def test_what_is_made_alike_for_all_is_shared():
     shows_what_members_show(runs, {5: alone}, ("position", "energy"))
 
 
-@pytest.mark.parametrize("method", ["auto", "diffrax"])
+@pytest.mark.parametrize(
+    "method", ["auto", pytest.param("diffrax", marks=pytest.mark.slow)]
+)
 def test_derivatives_go_through_the_ensemble(method):
     """Those of each member alone."""
     scene, starts = discs(3)

@@ -128,6 +128,23 @@ def test_outputs_and_bodies_of_their_own(monkeypatch):
     assert len(made) == 1
 
 
+def test_a_slip_without_friction_does_not_end():
+    """It goes on as it is, in the steps that a spin needs, at any speed."""
+    ball = rk.Scene(BALL)
+    slips = rk.Scene(BALL, contact=SLIPS)
+
+    def run(v):
+        start = rk.place(slips, UP, STILL, STILL, velocity=jnp.stack([v, v, 0.0 * v]))
+        return rk.simulate(ball, start, (0.0, 2.0), modes=rk.Modes(friction=0.0))
+
+    many, alone = compared(run, jnp.geomspace(0.01, 30.0, COUNT))
+    check_same(many, alone)
+    assert np.all(np.asarray(many.steps) < 10)  # of no error, five times longer each
+    np.testing.assert_allclose(
+        many.final_state.parts.slip[:, 0], jnp.geomspace(0.01, 30.0, COUNT), rtol=1e-14
+    )
+
+
 def test_members_end_as_they_do_alone():
     """One is no number, the others run out of steps at different times."""
     run, speeds = (

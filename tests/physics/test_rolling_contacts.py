@@ -242,6 +242,7 @@ def rows_of(rolling):
     return kane.linearize(rolling.eliminated, 0.0, state, (4, 6), (4, 6)).A[2:]
 
 
+@pytest.mark.slow
 def test_bicycle_by_its_contacts():
     """Sharp wheels on a plane: the published model, to the digits of its numbers."""
     rolling = bicycle(V, rk.Plane())

@@ -65,6 +65,7 @@ def dropped(spin):
     return rk.release(BALL, [1.0, 0.0, 0.0, 0.0], spin, [0.0, 0.0, 0.2], [0.1, 0, 0])
 
 
+@pytest.mark.slow
 def test_runs_with_modes_are_the_same_by_both():
     start = dropped(jnp.asarray(7.0))
     run, other = bouncing(start), bouncing(start, "diffrax")

@@ -159,6 +159,7 @@ def unpacked(packed):
     return flat.reshape(packed["shape"]) * packed["unit"]
 
 
+@pytest.mark.slow
 def test_the_page_has_the_base_s_pose_where_it_moves(table, shell):
     data, drawn = view_data(table), motion_samples(table)
     for name in ("base_origin", "base_orientation", "base_velocity"):

@@ -271,7 +271,8 @@ class Trials(eqx.Module):
         Beyond its end friction turns round, and such a step is tried in vain. Across
         the slip rates vary as one over it: no error is known of tangents along them.
         """
-        left, lost = tried.end.values[0], c.values[0] - tried.end.values[0]
+        left = tried.end.values[0]
+        lost = tried.end.seen[0, 0] - left  # nothing, without friction
         ends = (c.place.mode == Mode.SLIPPING) & ~begins(c.place.direction)
         ends &= (lost > 0.0) & (left > 0.0)
         taken = tried.t - c.place.t  # and what the law leaves of it: so it does end
