@@ -9,8 +9,7 @@
  * behind them, where it slips, the direction of the slip: GIVEN in all.
  */
 typedef struct {
-    row t, step, goal, rtol, y[P(GIVEN)], k[P(ACTIVE)], atol[P(ACTIVE)];
-    row value[2], seen[2]; /* what is carried; as the right-hand side sees it here */
+    row t, step, goal, rtol, y[P(GIVEN)], k[P(ACTIVE)], atol[P(ACTIVE)], value[2];
     row own[OWN + 1], accepted, tried, most;
     mask running;
     long place[LANES]; /* of the members; -1: none */
@@ -82,12 +81,11 @@ static void P(run)(Block *b) {
         if (!any(a.running)) return;
         P(rates)(a.t, a.y, a.own, b->shared, NULL, u, v, first, end);
         for (int c = 0; c < P(ACTIVE); c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
-        for (int c = 0; c < 2; c++) a.seen[c] = choose_row(fresh, end[c], a.seen[c]);
         mask leaves;
         do {
             const row t_end = a.t + a.step, h = t_end - a.t;
             memcpy(k[0], a.k, sizeof a.k);
-            for (int c = 0; c < 2; c++) seen[0][c] = a.seen[c];
+            for (int c = 0; c < 2; c++) seen[0][c] = a.value[c];
             for (int c = P(ACTIVE); c < P(GIVEN); c++) y[c] = a.y[c];
             P(attempt)(a.t, t_end, h, a.y, b->shared, a.own, u, v, end_u, end_v, k, y, error,
                        seen);
@@ -124,7 +122,7 @@ static void P(run)(Block *b) {
             slip = sqrt_row(slip);
             const row settles = (slip + SMALLEST) * SETTLES / end[2];
             step = choose_row(good & (end[2] > 0) & (settles < step), settles, step);
-            const row lost = a.seen[0] - end[0];
+            const row lost = a.value[0] - end[0]; /* nothing, without friction */
             const row until = (end[0] + SMALLEST) * h / lost * NEARER;
             step = choose_row(good & (lost > 0) & (until < step), until, step);
             for (int c = 0; c < 3; c++) {
@@ -132,7 +130,7 @@ static void P(run)(Block *b) {
                 y[d] = choose_row(follows, y[P(SLIP) + c] / slip, y[d]);
                 along += y[P(SLIP) + c] * y[P(ACTIVE) + c];
             }
-            end[0] = choose_row(along > 0, along, end[0]);
+            end[0] = choose_row((along > 0) & (lost != 0), along, end[0]);
 #endif
             if (told_to_end()) plain = mask_of(0);
             const mask on = a.running & plain, go = on & good;
@@ -140,10 +138,7 @@ static void P(run)(Block *b) {
             for (int c = 0; c < P(GIVEN); c++) a.y[c] = choose_row(go, y[c], a.y[c]);
             for (int c = 0; c < P(ACTIVE); c++)
                 a.k[c] = choose_row(go, k[STAGES - 1][c], a.k[c]);
-            for (int c = 0; c < 2; c++) {
-                a.seen[c] = choose_row(go, seen[STAGES - 1][c], a.seen[c]);
-                a.value[c] = choose_row(go, end[c], a.value[c]);
-            }
+            for (int c = 0; c < 2; c++) a.value[c] = choose_row(go, end[c], a.value[c]);
             a.accepted = choose_row(go, a.accepted + (real)1, a.accepted);
             a.tried = choose_row(on, a.tried + (real)1, a.tried);
             leaves = a.running & not_row(plain);

@@ -164,7 +164,7 @@ class Loop(Trials):
         """
         slip = dot(after.y.slip, after.direction)
         slides = (after.mode == Mode.SLIPPING) & (slip > 0.0)
-        slides &= ~begins(after.direction)
+        slides &= ~begins(after.direction) & self.motion.friction_ends_slips
         values = jnp.where(slides, values.at[0].set(slip), values)
         behind = jnp.isnan(c.values[0]) & ~jnp.all(values >= 0.0)
         return jnp.where(event | behind, jnp.nan, values)

@@ -249,8 +249,7 @@ class ModeRates(eqx.Module):
         against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
         against = against / not_zero(size_of(against))
         way = jnp.where(begins(direction), against, direction)
-        # without friction nothing ends a slip
-        on = jnp.where(modes.friction > 0.0, dot(y.slip, way), endless)
+        on = jnp.where(self.friction_ends_slips, dot(y.slip, way), endless)
         values = jnp.stack([on, press if modes.lifts else endless])
         return of(rates), Seen(values, way, turn)
 
@@ -275,6 +274,12 @@ class ModeRates(eqx.Module):
         squared = held * held + needed
         size = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
         return (both - needed) / size
+
+    @property
+    def friction_ends_slips(self) -> Bool[Array, ""] | bool:
+        """Whether there is friction: without it nothing ends a slip."""
+        friction = self.modes.friction
+        return False if friction is None else friction > 0.0
 
     def ends_slip(self, mode: Int[Array, ""], kind: Int[Array, ""]) -> Bool[Array, ""]:
         """Whether an event is the end of a slip."""
