@@ -10,7 +10,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.cli.live_command import LiveServer
-from rollkane.files.scene_files import SceneFileError, builtin_scenes
+from rollkane.files.scene_files import SceneFileError, builtin_scenes, load_scene
 from rollkane.pictures.live_run import LEAST_RTOL, LiveRun
 from tests.unit.test_cli import BALL, rollkane_with
 from tests.unit.test_viewer import Page, unpacked
@@ -73,8 +73,6 @@ def test_every_built_in_scene_has_numbers_that_it_can_have(name):
 
 
 def read(name, changes, live):
-    from rollkane.files.scene_files import load_scene
-
     return load_scene(name, changes, live._parts)
 
 
@@ -121,6 +119,22 @@ def test_parts_whose_tables_are_the_same_are_taken_again():
     assert live.changes_shapes({}, larger)
     assert live.changes_shapes({radius.path: radius.value}, larger)
     assert not live.changes_shapes(larger | {"body.mass": 3.0}, larger)
+
+
+def test_rolling_bodies_are_taken_again_while_their_tables_stay():
+    parts = {}
+    first = load_scene("shells-in-shells", None, parts)
+    (other,) = load_scene(
+        "shells-in-shells", {"body.mass": "0.9"}, parts
+    ).scene.supported
+    assert other is first.scene.supported[0]
+    wrong = {"rolling[0].start.contact_on_carrier": "[0.1, 0.0, 0.0]"}
+    for _ in range(2):  # what is refused is not kept
+        with pytest.raises(SceneFileError, match="contact_on_carrier"):
+            load_scene("shells-in-shells", wrong, parts)
+    heavier = load_scene("shells-in-shells", {"rolling[1].body.mass": "0.4"}, parts)
+    assert heavier.scene.supported[0].supported[0].body.mass == 0.4
+    np.testing.assert_array_equal(heavier.start.contact, first.start.contact)
 
 
 def test_ranges_are_chosen_and_checked(ball):

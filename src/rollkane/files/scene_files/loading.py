@@ -71,9 +71,9 @@ def load_scene(
             TOML file (see :func:`scene_schema`).
         changes: Values in the place of the file's, by path, as TOML writes them:
             ``{"body.mass": "2.0"}``.
-        parts: Of the scenes that were read from the same file before: bases and
-            supported masses whose tables are the same are taken again, and others are
-            put here. An empty dictionary to begin with.
+        parts: Of the scenes that were read from the same file before: bases, supported
+            masses and rolling bodies whose tables are the same are taken again, and
+            others are put here. An empty dictionary to begin with.
 
     Returns:
         The scene, ready for ``rollkane.simulate``.

@@ -39,7 +39,8 @@ def build(
 
     Args:
         report: Knows the file, its checked tables and what is wrong with it.
-        parts: Bases and supported masses of earlier readings of the same file.
+        parts: Bases, supported masses and rolling bodies of earlier readings of the
+            same file.
 
     Returns:
         The scene, its start and its modes, or None where something was wrong.
@@ -50,7 +51,7 @@ def build(
     loads, law = loads_of(report), contact_of(report)
     modes = modes_of(report)
     supported = _taken_again("supported", lambda: supported_of(report), report, kept)
-    rolling = rolling_of(report)
+    rolling = _taken_again("rolling", lambda: rolling_of(report), report, kept)
     _check_tolerance(report)
     scene, states = None, ()
     found = base is not None and loads is not None and law is not None
