@@ -108,6 +108,9 @@ def test_the_command_line_goes_by_endings(folder):
         ("--out", "a.xlsx", "the ending .xlsx is not known; end the name in .nc,"),
         ("--path", "a", "a: has no ending; end the name in .png"),
         ("--view", "a.png", "the ending .png is not known; end the name in .html"),
+        ("--gif", "a.mp4", "the ending .mp4 is not known; end the name in .gif"),
+        ("--mp4", "a.gif", "the ending .gif is not known; end the name in .mp4"),
+        ("--glb", "a.gltf", "the ending .gltf is not known; end the name in .glb"),
     ],
 )
 def test_unknown_endings_are_refused_before_the_run(folder, option, name, says):

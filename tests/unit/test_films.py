@@ -411,21 +411,6 @@ def test_the_command_line_writes_them(folder):
     assert command("--gif", "a.gif", "--force").exit_code == 0
 
 
-@pytest.mark.parametrize(
-    ("option", "name", "says"),
-    [
-        ("--gif", "a.mp4", "end the name in .gif"),
-        ("--mp4", "a.gif", "end the name in .mp4"),
-        ("--glb", "a.gltf", "end the name in .glb"),
-    ],
-)
-def test_the_command_line_refuses_other_endings(folder, option, name, says):
-    done = command(option, name)
-    assert done.exit_code == 2
-    assert says in " ".join(done.output.split())
-    assert os.listdir(folder) == []
-
-
 def test_a_missing_extra_is_named(folder, monkeypatch):
     known = importlib.util.find_spec
     monkeypatch.setattr(

@@ -155,9 +155,8 @@ static void pull_block(void *job, long part) {
     const long first = part * all->block, left = all->call->batch - first;
     const long end = first + (left < all->block ? left : all->block);
     for (long b = first, next; b < end; b = next) { /* of a batch of batches */
-        const real *shared = member(all->call, SHARED_AT, b);
-        for (next = b + 1; next < end && member(all->call, SHARED_AT, next) == shared;) next++;
-        pull_alike(all->call, shared, b, next);
+        next = behind_alike(all->call, SHARED_AT, b, end);
+        pull_alike(all->call, member(all->call, SHARED_AT, b), b, next);
     }
 }
 
@@ -165,6 +164,7 @@ void *called_by_xla(const CallFrame *frame) {
     static const int axes[] = {1, 1, 2, 2, 1, 1, 0, 0, 1, 1};
     Call call;
     if (!received(frame, axes, 1, &call)) return NULL;
+    /* few blocks, whose lanes wait for the longest motion at their ends */
     const long fair = call.batch / (2 * processors()) + 1;
     Batch all = {&call, fair < 4 * LANES ? 4 * LANES : fair};
     in_parallel(pull_block, &all, (call.batch + all.block - 1) / all.block);

@@ -205,8 +205,8 @@ class MemberLanes:
         sizes = [math.prod(shape) for shape in program.taken]
         head["GIVEN_SMALL"] = sum(x for x in sizes if x <= SMALL)
         lanes = 64 // program.dtype.itemsize
-        how = program.further, ""
-        self._call = XlaCall(program.dtype, lanes, head, parts, *how)
+        # with the care of a loop that runs long, whatever its program is worth
+        self._call = XlaCall(program.dtype, lanes, head, parts, program.further)
 
     def __call__(
         self, size: int, arrays: Sequence[Array], leaves: Sequence[Array]

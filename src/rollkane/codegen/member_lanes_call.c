@@ -35,9 +35,7 @@ static void run_block(void *job, long part) {
     for (long i = 0; i < count; i += b.count) { /* of a batch of batches */
         b.first = first + i;
         b.shared = member(b.call, SHARED_AT, b.first);
-        b.count = 1;
-        while (i + b.count < count && member(b.call, SHARED_AT, b.first + b.count) == b.shared)
-            b.count++;
+        b.count = behind_alike(b.call, SHARED_AT, b.first, first + count) - b.first;
         run_alike(&b);
     }
     free(queues), free(b.workspace), free(b.small);

@@ -100,6 +100,13 @@ static const real *member(const Call *call, int i, long b) {
     return (const real *)buffer->data + place;
 }
 
+/* The first member from b on, before an end, that does not share an argument with b. */
+INLINE long behind_alike(const Call *call, int i, long b, long end) {
+    const real *theirs = member(call, i, b);
+    while (b < end && member(call, i, b) == theirs) b++;
+    return b;
+}
+
 /* The buffers, in the order of XLA's call, with how many axes are their own and the first
  * result's; 0 where only the interface's version is asked. */
 static int received(const CallFrame *frame, const int *axes, int result_axes, Call *call) {

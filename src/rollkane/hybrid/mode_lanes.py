@@ -55,6 +55,10 @@ class Runs(Protocol):
         """What comes out of it."""
         ...
 
+    def stepped(self, inputs: Any, recording: bool) -> tuple[Any, Any]:
+        """The same of all of its steps, and their record."""
+        ...
+
     def motion(self, scene: Any, dtype: np.dtype) -> Motion:
         """Rates and events of a scene."""
         ...
@@ -88,10 +92,7 @@ class _Members(NamedTuple):
 
     def whole(self, arrays: list[Array]) -> Any:
         """What comes out of a run."""
-        inputs = self.inputs(arrays)
-        loop, mode, y = self.runs.loop(inputs)
-        run = loop.run(mode, y, self.most, recording=False)
-        return self.runs.ended(inputs, run)
+        return self.runs.stepped(self.inputs(arrays), recording=False)[0]
 
     def alone(self, arrays: list[Array]) -> Any:
         """The same, as a program in C."""

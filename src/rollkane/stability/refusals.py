@@ -19,7 +19,8 @@ _CREEPS = 1e-6
 # Of the rates of the guess: what is slower has come to rest, and what is faster has run
 # away, to where accelerations that are left count as small beside the speed.
 _RESTS, _AWAY = 1e-3, 10.0
-# A solution's rates are known to its steps times what curvatures multiply them by
+# Rates of rest are known to the steps that are left, times what curvatures multiply
+# them by; crept to they are 800 times these and more (Chaplygin's ball at 8e-8 rad/s)
 _LEFT = 100.0
 
 
@@ -73,8 +74,15 @@ def _refuse_holds(
     )
 
 
-def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
-    """Say why no steady motion was found: none is near, or too much is held."""
+def refuse_unsolved(asked: Asked, state: Any, first: Point, found: Solved) -> NoReturn:
+    """Say why no steady motion was found: none is near, or too much is held.
+
+    Args:
+        asked: What was solved.
+        state: Guess.
+        first: The point there, at rest in the group.
+        found: Where the search ended.
+    """
     if asked.quantities:
         free = asked._replace(quantities=(), values=np.zeros(0))
         near = solved(free, state, found.point.xi, 0.0)
@@ -89,7 +97,7 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
             )
             remedy = "give values nearer to those of the guess, or hold less"
             raise FieldError("steady_motion.hold", held, problem, remedy)
-    faster = _faster(asked, state, found.point)
+    faster = _faster(first, found.point)
     if found.error < _CREEPS and faster < _AWAY:
         _refuse_creeping(state, found, faster)
     problem = "has no steady motion near it; " + _of_rank(found, asked)
@@ -100,28 +108,27 @@ def refuse_unsolved(asked: Asked, state: Any, found: Solved) -> NoReturn:
     raise FieldError("steady_motion.guess", type(state).__name__, problem, remedy)
 
 
-def refuse_rest_that_is_none(asked: Asked, state: Any, found: Solved) -> None:
+def refuse_rest_that_is_none(state: Any, first: Point, found: Solved) -> None:
     """Refuse a search that crept towards rest until what was left counted as solved.
 
     Where families meet at rest what is left falls with the square of the speed, so that
     any state counts as steady that is slow enough. A motion at rest to which Newton's
     method leads is there to rounding.
     """
-    faster = _faster(asked, state, found.point)
-    local, size = found.point.local, found.point.size
-    moves = float(np.linalg.norm(local.rates / size))
+    faster = _faster(first, found.point)
+    moves = _speed(found.point, found.point.size)
     if faster < _CREEPS and moves > _LEFT * max(found.error, ROUNDING):
         _refuse_creeping(state, found, faster)
 
 
-def _faster(asked: Asked, state: Any, point: Point) -> float:
+def _faster(first: Point, point: Point) -> float:
     """How much faster a search went than its guess, by the rates of the coordinates."""
-    first = solved(asked, state, np.zeros(point.xi.size), 0.0, tries=0).point
-    size = first.size
-    before, after = (
-        float(np.linalg.norm(one.local.rates / size)) for one in (first, point)
-    )
-    return after / max(before, 1e-300)
+    return _speed(point, first.size) / max(_speed(first, first.size), 1e-300)
+
+
+def _speed(point: Point, size: np.ndarray) -> float:
+    """Rates of the coordinates, by what these are measured by."""
+    return float(np.linalg.norm(point.local.rates / size))
 
 
 def _refuse_creeping(state: Any, found: Solved, faster: float) -> NoReturn:

@@ -173,8 +173,8 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     xi = guessed_velocities(first)
     found = solved(asked, state, xi, 0.0, program=program)
     if not found.error < SOLVED:
-        refuse_unsolved(asked, state, found)
-    refuse_rest_that_is_none(asked, state, found)
+        refuse_unsolved(asked, state, first, found)
+    refuse_rest_that_is_none(state, first, found)
     return motion_of(asked, found)
 
 
