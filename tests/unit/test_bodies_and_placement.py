@@ -373,3 +373,21 @@ def test_results_are_jitted_and_batched_alike():
     np.testing.assert_allclose(jitted.position, plain.position, atol=1e-13)
     np.testing.assert_allclose(jitted.contact_force, plain.contact_force, atol=1e-11)
     assert jitted.reason == "completed"
+
+
+def test_where_it_touches_is_found_once_where_only_speeds_are_traced():
+    scene, start = problems.rattleback()
+    spin, turn = jnp.array([0.1, 0.2, 3.0]), start.orientation
+    of_spin = lambda spin: rk.place(scene, turn, spin, ORIGIN)
+    of_turn = lambda turn: rk.place(scene, turn, spin, ORIGIN)
+    program = lambda of, at: str(jax.make_jaxpr(of)(at))
+    # of what tells whether the surfaces can touch there
+    assert "svd" in program(of_turn, turn)
+    assert "svd" not in program(of_spin, spin)
+    # another program of the same formulas: some roundings
+    states = jax.jit(of_spin)(spin), of_spin(spin)
+    for a, b in zip(*map(jax.tree.leaves, states), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-14)
+    # and what is wrong there spoils the state
+    nowhere = lambda spin: rk.place(scene, turn, spin, (0.0, 0.0, 1.0))
+    assert np.all(np.isnan(jax.jit(nowhere)(spin).orientation))

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.extend.core
 import jax.numpy as jnp
+from jax.core import eval_context
 
 from ..validation.checks import is_traced
 
@@ -58,8 +59,10 @@ def for_one_call(
             return function(*arguments)
         if traced and not _only_mapped(arguments):
             return plain(*arguments)  # derivatives take no options of the compiler
-        # known arguments in the middle of a trace: outside of it all the same
-        with jax.ensure_compile_time_eval() if inside else nullcontext():
+        # known arguments in the middle of a trace: outside of it all the same, as a
+        # whole (jax.ensure_compile_time_eval would also evaluate, one by one, what in
+        # the function is known)
+        with eval_context() if inside else nullcontext():
             return compiled(*arguments)
 
     return call

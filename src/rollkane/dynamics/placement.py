@@ -1,12 +1,14 @@
 """Put a body onto its base: find the contact, or say why there is none."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import eval_context
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
@@ -14,7 +16,8 @@ from ..codegen.compile_effort import for_one_call
 from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
-from ..geometry.surfaces import AbstractPointSurface, PointOfNormal
+from ..geometry.surfaces import AbstractPointSurface, AbstractSurface, PointOfNormal
+from ..kinematics.base_motion import AbstractBaseMotion
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import SlidingState, State, shared_parts
 from ..validation.checks import FieldError, is_traced, real, spoilt
@@ -143,10 +146,13 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
     """A state from checked shapes, with everything that is wrong with it."""
     time, q = asked["time"][0], asked["orientation"]
     loose = _looseness(q.dtype)
-    fit = _fit(scene, asked, loose, time)
+    motion = scene.base.motion
+    moving = None if motion is None else (motion, time)
+    where = {name: asked[name] for name in _WHERE}
+    fit = cast(_Fit, _fit(scene.body.surface, scene.base.surface, moving, where))
     state = State(
         orientation=fit.orientation,
-        angular_velocity=fit.angular_velocity,
+        angular_velocity=matvec_transposed(fit.rotation, asked["angular_velocity"]),
         contact_on_base=fit.on_base,
         contact_on_body=fit.on_body,
         alpha=asked["alpha"],
@@ -232,7 +238,7 @@ class _Fit(eqx.Module):
     """Where two surfaces touch, and whether they can."""
 
     orientation: Array
-    angular_velocity: Array
+    rotation: Array  # body to fixed axes
     on_base: Array  # contact coordinates
     on_body: Array
     nearest: Array  # point of the base next to the asked one [m], base axes
@@ -266,22 +272,30 @@ def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
 def _number(
     dtype: np.dtype[Any], name: str, value: Any, count: int, meaning: str
 ) -> Array:
-    array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
-    return array if array.dtype == dtype else array.astype(dtype)
+    # what is known stays so inside of jit, where it is evaluated once
+    with nullcontext() if is_traced(value) else eval_context():
+        array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
+        return array if array.dtype == dtype else array.astype(dtype)
 
 
+_WHERE = "orientation", "contact_on_base", "base_normal", "near_on_body"
+
+
+@for_one_call  # known then, too, where only masses or speeds are traced
 def _fit(
-    scene: Scene, asked: dict[str, Any], loose: float, time: Float[Array, ""]
+    body: AbstractSurface,
+    base: AbstractSurface,
+    moving: tuple[AbstractBaseMotion, Float[Array, ""]] | None,
+    asked: dict[str, Any],
 ) -> _Fit:
-    base, body = scene.base.surface, scene.body.surface
     orientation, point = asked["orientation"], asked["contact_on_base"]
-    normal = asked["base_normal"]
+    normal, loose = asked["base_normal"], _looseness(point.dtype)
     on_base = base.locate(point) if normal is None else base.at_edge(point, normal)
     ground = base.geometry(on_base)
     orientation = orientation / norm(orientation)
     rotation = rotation_matrix(orientation)
-    motion = scene.base.motion
-    to_base = body_to_base(rotation, None if motion is None else motion.at(time))
+    base_at = None if moving is None else moving[0].at(moving[1])
+    to_base = body_to_base(rotation, base_at)
     normal = -matvec_transposed(to_base, ground.normal)
     point_of_normal = body.normal_map(base.is_flat)
     if isinstance(body, AbstractPointSurface) and point_of_normal is None:
@@ -315,7 +329,7 @@ def _fit(
     placed = jnp.all(jnp.isfinite(shell.position))
     return _Fit(
         orientation=orientation,
-        angular_velocity=matvec_transposed(rotation, asked["angular_velocity"]),
+        rotation=rotation,
         on_base=on_base,
         on_body=on_body,
         nearest=ground.position,
