@@ -429,6 +429,57 @@ def test_a_contact_that_may_pull_is_held_by_friction():
     np.testing.assert_allclose(run.normal_force, -MASS * G, rtol=1e-12)
 
 
+@pytest.mark.parametrize("fall", [0.0, 2.0], ids=["pressed", "pulled"])
+def test_a_contact_that_may_pull_begins_to_slip(fall):
+    """A ball on a plate that falls, and is pushed along more and more, by j t.
+
+    It rolls at 2/7 of that until friction needed, 2/7 m j t, is mu m g; then it slips
+    by ``-j (t - t_1)^2 / 2``, whichever way the normal force acts.
+    """
+    mu, begins = 0.3, 0.1
+    j = 3.5 * mu * G / begins
+    moves = lambda t: jnp.stack([j * t**3 / 6.0, 0.0 * t, -0.5 * fall * G * t * t])
+    scene = rk.Scene(BALL, rk.Base(rk.Plane(), rk.BaseMotion(moves)))
+    times = np.array([0.0, 0.15, 0.3])
+    modes = rk.Modes(friction=mu, lifts=False)
+    start = rk.place(scene, UP, STILL, STILL)
+    run = rk.simulate(scene, start, times, modes=modes, rtol=1e-10)
+    assert run.succeeded
+    assert run.switches.after[0] == rk.Mode.SLIPPING
+    assert run.switches.count == 1
+    np.testing.assert_allclose(run.normal_force, MASS * G * (1.0 - fall), rtol=1e-9)
+    # 60 steps of 1e-10 of their states, of 1 m/s; of a time at which friction is short
+    # by what grows as j t: as much of it
+    np.testing.assert_allclose(run.switches.time[0], begins, atol=6e-9)
+    slips = -0.5 * j * (times[1:] - begins) ** 2
+    np.testing.assert_allclose(run.slip[1:, 0], slips, atol=6e-9 * (1.0 + j * 0.2))
+
+
+def test_without_friction_a_ball_keeps_its_spin():
+    """Nothing turns it, from its rolling start on: not where its slip begins either.
+
+    Of the least friction it is turned by what is proportional to that.
+    """
+    uneven = rk.Base(rk.Graph(lambda x, y: 0.02 * jnp.sin(3.0 * x) * jnp.cos(2.0 * y)))
+    scene = rk.Scene(BALL, uneven)
+    spin, z = (1.0, 0.5, -0.9), 0.02 * np.sin(0.6) * np.cos(0.2)
+    start = rk.place(scene, UP, spin, (0.2, 0.1, z))
+    end = jax.jit(
+        lambda mu: (
+            rk.simulate(
+                scene, start, (0.0, 0.6), modes=rk.Modes(friction=mu), rtol=1e-9
+            ).final_state
+        )
+    )
+    # 20 steps, each some ten roundings of 1 rad/s; and by friction at most
+    # mu m g t r / I = mu * 9.81 * 0.6 / (0.4 * 0.11) rad/s
+    for mu in (0.0, 1e-300, 1e-17, 1e-14, 1e-10, 1e-8):
+        found = end(mu)
+        assert found.mode == rk.Mode.SLIPPING
+        turned = np.abs(np.asarray(found.parts.angular_velocity) - spin)
+        assert np.max(turned) < 20 * 10 * 2.2e-16 + 134.0 * mu
+
+
 def test_outputs_right_behind_a_landing():
     """One, three and a hundred numbers of the clock behind it: the run goes on.
 

@@ -246,7 +246,8 @@ class ModeRates(eqx.Module):
         law = modes.friction, direction, y, follows, turns
         scene = slipping(self.scenes.rolling, *law)
         rates, press, pull, turn, _ = at_contact(scene, t, y.sliding())
-        against = -jnp.where(press < 0.0, -1.0, 1.0) * pull
+        # friction goes with the normal force if that ends at zero, else with its size
+        against = -sign(press) * pull if modes.lifts else -pull
         against = against / not_zero(size_of(against))
         way = jnp.where(begins(direction), against, direction)
         on = jnp.where(self.friction_ends_slips, dot(y.slip, way), endless)
@@ -277,9 +278,14 @@ class ModeRates(eqx.Module):
 
     @property
     def friction_ends_slips(self) -> Bool[Array, ""] | bool:
-        """Whether there is friction: without it nothing ends a slip."""
+        """Whether there is friction to speak of: without it nothing ends a slip.
+
+        Of less its direction is a rounding, of the normal force to the friction.
+        """
         friction = self.modes.friction
-        return False if friction is None else friction > 0.0
+        if friction is None:
+            return False
+        return friction > 0.1 * np.sqrt(np.finfo(friction.dtype).eps)
 
     def ends_slip(self, mode: Int[Array, ""], kind: Int[Array, ""]) -> Bool[Array, ""]:
         """Whether an event is the end of a slip."""
@@ -346,6 +352,11 @@ def beside_ends(last: _Numbers) -> list[tuple[float, _Numbers]]:
 def not_zero(x: Float[Array, ""]) -> Float[Array, ""]:
     """A divisor, which is nothing where there is nothing to divide."""
     return jnp.where(x == 0.0, 1.0, x)
+
+
+def sign(x: Float[Array, ""]) -> Float[Array, ""]:
+    """-1 below zero, else 1."""
+    return jnp.where(x < 0.0, -1.0, 1.0)
 
 
 def picked(where: Bool[Array, ""], new: _T, old: _T) -> _T:

@@ -19,8 +19,8 @@ from ..dynamics.rolling import (
     contact_of,
 )
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed
-from .mode_rates import ModeRates, not_zero, picked, size_of
-from .modes import HybridState, Mode, of
+from .mode_rates import ModeRates, not_zero, picked, sign, size_of
+from .modes import HybridState, Mode, of, slipping
 
 FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
 # Mode, direction of the slip, and state.
@@ -153,11 +153,16 @@ class Motion(ModeRates):
         on_body: Callable[[Array], Array] = lambda v: matvec_transposed(
             contact.rotation, v
         )
+        mu = self.modes.friction
+        if not self.modes.lifts:  # friction goes with the size of the normal force
+            slips = slipping(scene, mu, s, y, follows=True, turns=False)
+            mu = mu * sign(at_contact(slips, t, sliding).press)
         s, n = jax.lax.stop_gradient((on_body(s), -contact.normal))
-        limit, across = n - self.modes.friction * s, cross(n, s)
+        limit, across = n - mu * s, cross(n, s)
         by_limit, by_across = matvec(G, limit), matvec(G, across)
         share = dot(n, by_across) / not_zero(dot(n, by_limit))
-        left = dot(on_body(y.slip), across)
+        left = dot(on_body(y.slip), across)  # which without friction stays
+        left = jnp.where(self.friction_ends_slips, left, 0.0)
         left = left - jnp.where(begun, 0.0, jax.lax.stop_gradient(left))
         q = left / not_zero(dot(across, by_across) - share * dot(across, by_limit))
         J = q * (share * limit - across)
