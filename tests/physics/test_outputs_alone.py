@@ -96,3 +96,20 @@ def test_the_check_fails_on_what_is_wrong():
     path[12:] += [0.01, 0.0, 0.0]
     jumps = Seen(out | {"contact_on_base": path}, step, *shapes)
     assert jumps.jump() > 1.0
+
+
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+@pytest.mark.parametrize(("seed", "falls"), [(0, 0.31612569555), (3, 0.30675532329)])
+def test_a_disc_that_comes_to_lie_on_its_face_ends_there(seed, falls, method):
+    """At any tolerance: steps within their own error of it could turn it by any angle.
+
+    Its normal comes to its axis at 1.9 rad/s, to ten relative tolerances before it.
+    """
+    case = "rolling", "disc", "tyre", "rock"
+    scene = scene_of(*case)
+    start = outputs_alone.start_of(scene, "tyre", 100 * CASES.index(case) + seed)
+    for rtol in (1e-6, 1e-8, 1e-10, 1e-12) if method == "native" else (1e-8,):
+        run = rk.simulate(scene, start, (0.0, 0.6), rtol=rtol, method=method)
+        assert run.code == rk.Code.SURFACE_EDGE, rtol
+        # ten tolerances by 1.9 rad/s, and as much by errors of 100 steps
+        assert abs(run.final_time - falls) < 10.0 * rtol + 1e-11

@@ -91,10 +91,11 @@ def test_a_summary_tells_of_each_body(tmp_path):
     file = loaded(alone, tmp_path)
     run = rk.simulate(file.scene, file.start, file.times)
     lines = summary(run)
-    assert lines[-2].strip().startswith("rolling 0 ")
-    assert "ends at (" in lines[-2]
+    (first,) = (k for k, x in enumerate(lines) if x.strip().startswith("rolling 0 "))
+    told = lines[first:]
+    assert "ends at (" in told[0]
     least = float(np.min(run.rolling_body(0).normal_force))
-    assert f"{least:.4g} N at least" in lines[-1]
+    assert any(f"{least:.4g} N at least" in line for line in told)
 
 
 @pytest.mark.parametrize(

@@ -65,15 +65,16 @@ INLINE row towards(int only, row goal, row t, row dt) {
 }
 
 #if WATCHED
-/* Where a step reverses none of the vectors. */
+/* Where a step reverses none of the vectors, nor comes too near to their zeros to tell. */
 INLINE mask unbroken(const Queue *q, const Lanes *a, const row *y, const real *u,
                      const row *v) {
     row before[2 * WATCHED], after[2 * WATCHED];
     mask stands = mask_of(1);
+    const row least = splat((NEAREST * q->rtol) * (NEAREST * q->rtol));
     rates_watch(q->sense * a->t, a->y, a->own, q->shared, NULL, u, v, before);
     rates_watch(q->sense * a->t_end, y, a->own, q->shared, NULL, u, v, after);
     for (int i = 0; i < 2 * WATCHED; i += 2)
-        stands &= before[i] * after[i] + before[i + 1] * after[i + 1] > 0;
+        stands &= before[i] * after[i] + before[i + 1] * after[i + 1] > least;
     return stands;
 }
 #endif

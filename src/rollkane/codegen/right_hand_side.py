@@ -27,6 +27,9 @@ from .scalar_source import (
 
 # A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
+# A step may come no nearer to zero with a vector that it must not reverse, in relative
+# tolerances: nearer, it may turn the vector by any angle within its error
+NEAREST = 10
 _WITH_EVENTS = "lane_math.h", "event_search.c", "lane_loop.c"
 # Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
 _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
@@ -111,6 +114,7 @@ class Source(NamedTuple):
             "NUMBERS": self.functions.numbers,
             "ROWS": self.functions.rows,
             "WATCHED": self.watched,
+            "NEAREST": NEAREST,
             "WATCH_NUMBERS": 0 if watch is None else watch.numbers,
             "WATCH_ROWS": 0 if watch is None else watch.rows,
         }

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..codegen import NEAREST
 from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
 from ..dynamics.gap import closing
 from ..dynamics.rolling import headings, watches_headings
@@ -293,7 +294,7 @@ class Trials(eqx.Module):
         if watches_headings(scene):
             ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)
             for a, b in zip(*ends, strict=True):
-                stands &= dot(a, b) > 0.0
+                stands &= dot(a, b) > (NEAREST * self.rtol) ** 2
             stands |= at.mode == Mode.FLYING
         if self.allowed is None:
             return stands

@@ -22,8 +22,8 @@ from .controller_interface import (
     TriedStep,
 )
 
-# ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
-Holds: TypeAlias = Callable[[Any, Number, Array, Number, Array], Array]
+# ``holds(model, t0, y0, t1, y1, rtol)`` -> whether a step may stand.
+Holds: TypeAlias = Callable[[Any, Number, Array, Number, Array, Number], Array]
 
 
 class _Refusing(AbstractController):
@@ -34,8 +34,8 @@ class _Refusing(AbstractController):
 
     Attributes:
         controller: Any.
-        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand; the model
-            is what diffrax calls args.
+        holds: ``holds(model, t0, y0, t1, y1, rtol)`` -> whether a step may stand; the
+            model is what diffrax calls args.
         sense: Direction of time in which diffrax works.
     """
 
@@ -56,7 +56,8 @@ class _Refusing(AbstractController):
         """As the controller, to which a refused step has a large error."""
         t0, t1, error = step.t0, step.t1, step.y_error
         begin, end = t0 * self.sense, t1 * self.sense
-        holds = self.holds(step.args, begin, step.y0, end, step.y1_candidate)
+        rtol = getattr(self, "rtol", 0.0)  # not every controller has tolerances
+        holds = self.holds(step.args, begin, step.y0, end, step.y1_candidate, rtol)
         if error is not None:
             error = jnp.where(holds, error, jnp.asarray(jnp.inf, error.dtype))
         keep, next_t0, next_t1, jump, memory, result = self.controller.adapt_step_size(
@@ -80,7 +81,7 @@ def refusing(
 
     Args:
         controller: Any.
-        holds: ``holds(model, t0, y0, t1, y1)`` -> whether a step may stand.
+        holds: ``holds(model, t0, y0, t1, y1, rtol)`` -> whether a step may stand.
     """
     if isinstance(controller, dfx.AbstractAdaptiveStepSizeController):
         # its tolerances are the controller's, which diffrax declares as fields

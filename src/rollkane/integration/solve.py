@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen import Course, Looked, RunLoop, in_one_program_or_not
+from ..codegen import NEAREST, Course, Looked, RunLoop, in_one_program_or_not
 from ..codegen.tableau import is_plain, weights_of
 from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
@@ -185,13 +185,15 @@ def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
     if vectors is None and allowed is None:
         return None
 
-    def holds(model: Any, t0: Number, y0: Array, t1: Number, y1: Array) -> Array:
+    def holds(
+        model: Any, t0: Number, y0: Array, t1: Number, y1: Array, rtol: Number
+    ) -> Array:
         first, last = unpack(y0, like), unpack(y1, like)
         stands = jnp.asarray(True)
         if vectors is not None:
             ends = vectors(model, t0, first), vectors(model, t1, last)
             for a, b in zip(*ends, strict=True):
-                stands &= a[0] * b[0] + a[1] * b[1] > 0.0
+                stands &= a[0] * b[0] + a[1] * b[1] > (NEAREST * rtol) ** 2
         if allowed is not None:
             stands &= allowed(model, t1, last)
         return stands
