@@ -71,12 +71,11 @@ def test_a_disc_that_falls_straight_stops_when_it_lies(way):
     times = np.linspace(0.0, 0.5, 51)
     run = rk.simulate(scene, start, times, **WAYS[way])
     when = falls_flat(0.0625, 0.5, TILT)
+    assert run.code == rk.Code.SURFACE_EDGE
+    assert "lie on its face" in run.reason
     if way == "user's steps":  # they cannot be shortened: it ends a step before
-        assert run.code == rk.Code.STEP_TOO_SMALL
         assert when - 1.1e-3 < run.final_time < when
     else:
-        assert run.code == rk.Code.SURFACE_EDGE
-        assert "lie on its face" in run.reason
         # default tolerance 1e-9 of a motion of 0.3 s that ends at 2.5 rad/s
         np.testing.assert_allclose(run.final_time, when, rtol=0, atol=1e-8)
     no_jump(run, times)

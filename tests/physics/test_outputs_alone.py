@@ -108,7 +108,9 @@ def test_a_disc_that_comes_to_lie_on_its_face_ends_there(seed, falls, method):
     case = "rolling", "disc", "tyre", "rock"
     scene = scene_of(*case)
     start = outputs_alone.start_of(scene, "tyre", 100 * CASES.index(case) + seed)
-    for rtol in (1e-6, 1e-8, 1e-10, 1e-12) if method == "native" else (1e-8,):
+    for rtol in (1e-2, 1e-3, 1e-6, 1e-8, 1e-10, 1e-12)[
+        :: 1 if method == "native" else 3
+    ]:
         run = rk.simulate(scene, start, (0.0, 0.6), rtol=rtol, method=method)
         assert run.code == rk.Code.SURFACE_EDGE, rtol
         # ten tolerances by 1.9 rad/s, and as much by errors of 100 steps

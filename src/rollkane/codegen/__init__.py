@@ -10,7 +10,7 @@ from .event_layout import Layout
 from .ffi_call import check_usable
 from .lane_loop import LaneLoop, Queue, Results, Stops
 from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
-from .right_hand_side import NEAREST, Looked, with_known_zeros, zeros_of
+from .right_hand_side import Looked, least_product, with_known_zeros, zeros_of
 from .run_loop import Course, RunLoop
 from .whole_program import Whole, in_one_program, in_one_program_or_not
 
@@ -23,7 +23,6 @@ __all__ = [
     "LaneMode",
     "Layout",
     "Looked",
-    "NEAREST",
     "MemberLanes",
     "NoCompilerError",
     "Queue",
@@ -37,6 +36,7 @@ __all__ = [
     "check_usable",
     "in_one_program",
     "in_one_program_or_not",
+    "least_product",
     "with_known_zeros",
     "zeros_of",
 ]

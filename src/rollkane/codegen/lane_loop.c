@@ -70,7 +70,8 @@ INLINE mask unbroken(const Queue *q, const Lanes *a, const row *y, const real *u
                      const row *v) {
     row before[2 * WATCHED], after[2 * WATCHED];
     mask stands = mask_of(1);
-    const row least = splat((NEAREST * q->rtol) * (NEAREST * q->rtol));
+    const real nearest = C(fmin)(NEAREST * q->rtol, (real)1 / CLOSEST);
+    const row least = splat(nearest * nearest);
     rates_watch(q->sense * a->t, a->y, a->own, q->shared, NULL, u, v, before);
     rates_watch(q->sense * a->t_end, y, a->own, q->shared, NULL, u, v, after);
     for (int i = 0; i < 2 * WATCHED; i += 2)

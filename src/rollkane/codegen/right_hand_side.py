@@ -28,11 +28,18 @@ from .scalar_source import (
 # A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
 # A step may come no nearer to zero with a vector that it must not reverse, in relative
-# tolerances: nearer, it may turn the vector by any angle within its error
-NEAREST = 10
+# tolerances: nearer, it may turn the vector by any angle within its error. Loose runs
+# may come to 1 / CLOSEST, below what such tolerances are asked for
+_NEAREST, CLOSEST = 10, 100
 _WITH_EVENTS = "lane_math.h", "event_search.c", "lane_loop.c"
 # Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
 _zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
+
+
+def least_product(rtol: Any) -> Any:
+    """What two vectors have to exceed by their dot product for a step to join them."""
+    nearest = jnp.minimum(_NEAREST * rtol, 1.0 / CLOSEST)
+    return nearest * nearest
 
 
 def zeros_of(x: Any) -> bytes:
@@ -114,7 +121,8 @@ class Source(NamedTuple):
             "NUMBERS": self.functions.numbers,
             "ROWS": self.functions.rows,
             "WATCHED": self.watched,
-            "NEAREST": NEAREST,
+            "NEAREST": _NEAREST,
+            "CLOSEST": CLOSEST,
             "WATCH_NUMBERS": 0 if watch is None else watch.numbers,
             "WATCH_ROWS": 0 if watch is None else watch.rows,
         }

@@ -24,8 +24,8 @@ from .scene import Scene
 
 # A run that ends at the end of a surface is as close to it as the clock's steps tell
 # [s], and the normal of a disc that lies down is this close to that of its face [rad]:
-# steps come no nearer than ten relative tolerances.
-_AT_AN_EDGE, _FLAT = 1e-9, 1e-3
+# twice what steps of loose runs come to (`codegen.least_product`).
+_AT_AN_EDGE, _FLAT = 1e-9, 2e-2
 
 _Extent: TypeAlias = Callable[[Array], Array | None]
 # What no step may reverse, of a scene, a time [s] and a state.

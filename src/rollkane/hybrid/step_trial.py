@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen import NEAREST
+from ..codegen import least_product
 from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
 from ..dynamics.gap import closing
 from ..dynamics.rolling import headings, watches_headings
@@ -294,7 +294,7 @@ class Trials(eqx.Module):
         if watches_headings(scene):
             ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)
             for a, b in zip(*ends, strict=True):
-                stands &= dot(a, b) > (NEAREST * self.rtol) ** 2
+                stands &= dot(a, b) > least_product(self.rtol)
             stands |= at.mode == Mode.FLYING
         if self.allowed is None:
             return stands

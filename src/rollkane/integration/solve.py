@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen import NEAREST, Course, Looked, RunLoop, in_one_program_or_not
+from ..codegen import Course, Looked, RunLoop, in_one_program_or_not, least_product
 from ..codegen.tableau import is_plain, weights_of
 from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
@@ -193,7 +193,7 @@ def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
         if vectors is not None:
             ends = vectors(model, t0, first), vectors(model, t1, last)
             for a, b in zip(*ends, strict=True):
-                stands &= a[0] * b[0] + a[1] * b[1] > (NEAREST * rtol) ** 2
+                stands &= a[0] * b[0] + a[1] * b[1] > least_product(rtol)
         if allowed is not None:
             stands &= allowed(model, t1, last)
         return stands
