@@ -10,7 +10,7 @@ from .event_layout import Layout
 from .ffi_call import check_usable
 from .lane_loop import LaneLoop, Queue, Results, Stops
 from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
-from .right_hand_side import Looked, least_product, with_known_zeros, zeros_of
+from .right_hand_side import Looked, least_product, with_known_zeros, zeros_in, zeros_of
 from .run_loop import Course, RunLoop
 from .whole_program import Whole, in_one_program, in_one_program_or_not
 
@@ -38,5 +38,6 @@ __all__ = [
     "in_one_program_or_not",
     "least_product",
     "with_known_zeros",
+    "zeros_in",
     "zeros_of",
 ]

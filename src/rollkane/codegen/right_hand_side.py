@@ -1,7 +1,6 @@
 """A right-hand side in C: for rows of motions, and with its derivatives."""
 
 import math
-import weakref
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
@@ -11,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..validation.checks import is_traced
+from ..validation.remembered import remembered
 from .data_movement import Numbers, as_objects, numbers_of
 from .event_layout import Layout
 from .jaxpr_types import Shaped
@@ -32,8 +32,6 @@ _MOST_ZEROS = 64
 # may come to 1 / CLOSEST, below what such tolerances are asked for
 _NEAREST, CLOSEST = 10, 100
 _WITH_EVENTS = "lane_math.h", "event_search.c", "lane_loop.c"
-# Of arrays that do not change, by identity, as long as they live: looking takes 5 us.
-_zeros: dict[int, tuple[weakref.ref[Any], bytes]] = {}
 
 
 def least_product(rtol: Any) -> Any:
@@ -42,21 +40,25 @@ def least_product(rtol: Any) -> Any:
     return nearest * nearest
 
 
+@remembered(lambda x: isinstance(x, jax.Array))  # looking takes 5 us
 def zeros_of(x: Any) -> bytes:
     """Which numbers of an array are zero, one byte for each.
 
     No bytes if it is none, is traced, or too large for its zeros to be its structure.
     """
-    seen = _zeros.get(id(x))
-    if seen is not None and seen[0]() is x:
-        return seen[1]
     if not hasattr(x, "dtype") or is_traced(x) or np.size(x) > _MOST_ZEROS:
         return b""
-    found = (np.asarray(x) == 0).tobytes()
-    if isinstance(x, jax.Array):
-        key = id(x)
-        _zeros[key] = weakref.ref(x, lambda _: _zeros.pop(key, None)), found
-    return found
+    return (np.asarray(x) == 0).tobytes()
+
+
+def _holds_no_numpy(tree: Any) -> bool:
+    return not any(isinstance(x, np.ndarray) for x in jax.tree.leaves(tree))
+
+
+@remembered(_holds_no_numpy)  # and to list the leaves of a scene as much again
+def zeros_in(tree: Any) -> tuple[bytes, ...]:
+    """:func:`zeros_of` each array of a tree, which is one value and does not change."""
+    return tuple(map(zeros_of, jax.tree.leaves(tree)))
 
 
 def with_known_zeros(tree: Any, zeros: Sequence[bytes]) -> Any:

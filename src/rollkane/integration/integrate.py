@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import DTypeLike
 
-from ..codegen import zeros_of
+from ..codegen import zeros_in
 from ..codegen.compile_effort import around_a_loop
 from ..kinematics.coordinates import pack, unpack
 from ..validation.checks import FieldError, cleared, is_traced, real, whole
@@ -126,7 +126,7 @@ def integrate(
         saveat=saveat,
         max_steps=max_steps,
         progress_meter=_NO_METER if progress_meter is None else progress_meter,
-        zeros=tuple(map(zeros_of, jax.tree.leaves(model))) if native else None,
+        zeros=zeros_in(model) if native else None,
         allowed=allowed,
     )
     stops = stops_of(times)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..codegen import zeros_of
+from ..codegen import zeros_in
 from ..codegen.compile_effort import around_a_loop
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
 from ..dynamics.consistency import consistent
@@ -307,7 +307,7 @@ def _simulate_modes(
 
 def _run_modes(scene: HybridScene, *arguments: Any, native: bool) -> Any:
     """See :func:`_through_changes`."""
-    zeros = tuple(map(zeros_of, jax.tree.leaves(scene))) if native else None
+    zeros = zeros_in(scene) if native else None
     return (_around_loop if native else _by_xla)(zeros, scene, *arguments)
 
 

@@ -1,10 +1,14 @@
 """What a run is refused for: a law, a start or times that do not fit its scene."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..dynamics.abstract_supported import refuse_rolling_parts, rolling_parts
+from ..dynamics.abstract_supported import (
+    AbstractRollingPart,
+    refuse_rolling_parts,
+    rolling_parts,
+)
 from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
@@ -12,6 +16,7 @@ from ..hybrid.modes import Modes
 from ..kinematics.coordinates import FlyingState, SlidingState, State
 from ..kinematics.voronets import VoronetsState
 from ..validation.checks import FieldError, is_traced
+from ..validation.remembered import remembered
 
 
 def check_scene(function: str, scene: object, start: object) -> None:
@@ -33,21 +38,21 @@ def check_scene(function: str, scene: object, start: object) -> None:
 
 def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
     """The paper's equations and coordinates are those of rolling alone."""
-    alone = type(scene.contact) is Rolling and not has_margin(scene)
     for field, value, general in (
         ("simulate.formulation", formulation, "rolling"),
         ("simulate.coordinates", coordinates, "pole-free"),
     ):
-        if value != general and not alone:
+        if value == general:
+            continue
+        if type(scene.contact) is not Rolling or has_margin(scene):
             raise FieldError(
                 field,
                 value,
                 "has rolling without slipping only, and no dry resistance",
                 f'use "{general}", or Rolling() without dry resistance',
             )
-        if value != general:
-            refuse_rolling_parts(field, scene.supported)
-            refuse_feedback(field, scene)
+        refuse_rolling_parts(field, scene.supported)
+        refuse_feedback(field, scene)
 
 
 def check_modes(scene: Scene, start: object, modes: object) -> None:
@@ -65,6 +70,38 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
         )
 
 
+class _Form(NamedTuple):
+    """What a start of a scene has to be.
+
+    Attributes:
+        slips: Whether its contact does.
+        pole_free: Shapes of a ``State``'s fields.
+        in_charts: Those of a ``VoronetsState``'s.
+        bodies: What rolls on the body, each with a state of its own.
+    """
+
+    slips: bool
+    pole_free: dict[str, tuple[int, ...]]
+    in_charts: dict[str, tuple[int, ...]]
+    bodies: list[AbstractRollingPart]
+
+
+@remembered(lambda scene: True)  # shapes do not change, and take 10 us to find
+def _form_of(scene: Scene) -> _Form:
+    body, base = scene.body.surface, scene.base.surface
+    carried = body.coordinate_count if scene.has_contact_coordinates else 0
+    count = (scene.coordinate_count,)
+    both = {"angular_velocity": (3,), "alpha": count, "alpha_dot": count}
+    pole_free = {
+        "orientation": (4,),
+        "contact_on_base": (base.coordinate_count,),
+        "contact_on_body": (carried,),
+    }
+    in_charts = {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
+    bodies = rolling_parts(scene.supported)
+    return _Form(scene.contact.slips, both | pole_free, both | in_charts, bodies)
+
+
 def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
     """Refuse a start that does not belong to the scene."""
     if not isinstance(start, (State, VoronetsState)):
@@ -72,30 +109,16 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
         if isinstance(start, list):
             remedy += "; several starts are rollkane.ensemble's"
         raise FieldError(where, start, "must be a State", remedy)
-    slips = scene.contact.slips
-    if slips != start.slips:
+    form = _form_of(scene)
+    if form.slips != start.slips:
         raise FieldError(
             where,
             start,
-            f"is no state of a body that {'slips' if slips else 'rolls'}",
+            f"is no state of a body that {'slips' if form.slips else 'rolls'}",
             "place the body in this scene",
         )
-    body, base = scene.body.surface, scene.base.surface
-    shapes: dict[str, tuple[int, ...]] = {
-        "angular_velocity": (3,),
-        "alpha": (scene.coordinate_count,),
-        "alpha_dot": (scene.coordinate_count,),
-    }
-    if isinstance(start, VoronetsState):
-        shapes |= {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
-    else:
-        carried = body.coordinate_count if scene.has_contact_coordinates else 0
-        shapes |= {
-            "orientation": (4,),
-            "contact_on_base": (base.coordinate_count,),
-            "contact_on_body": (carried,),
-        }
-    for field, wanted in shapes.items():
+    charts = isinstance(start, VoronetsState)
+    for field, wanted in (form.in_charts if charts else form.pole_free).items():
         shape = getattr(start, field).shape
         if shape != wanted:
             raise FieldError(
@@ -104,7 +127,7 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
                 f"must have shape {wanted} in this scene",
                 "place the body in this scene (a batch of starts needs jax.vmap)",
             )
-    bodies = rolling_parts(scene.supported)
+    bodies = form.bodies
     if len(bodies) != len(start.supported):
         raise FieldError(
             f"{where}.supported",

@@ -1,0 +1,41 @@
+"""What is found out once of each value, for as long as it lives."""
+
+import functools
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+_Found = TypeVar("_Found")
+
+
+def remembered(
+    is_fixed: Callable[[Any], bool],
+) -> Callable[[Callable[[Any], _Found]], Callable[[Any], _Found]]:
+    """A function of one value, asked once of each value that does not change.
+
+    Values are told apart by identity: to compare them would take as long as to ask.
+
+    Args:
+        is_fixed: Whether a value, with all that it holds, stays what it is.
+    """
+
+    def decorated(function: Callable[[Any], _Found]) -> Callable[[Any], _Found]:
+        known: dict[int, tuple[weakref.ref[Any], _Found]] = {}
+
+        @functools.wraps(function)
+        def ask(value: Any) -> _Found:
+            key = id(value)
+            seen = known.get(key)
+            if seen is not None and seen[0]() is value:
+                return seen[1]
+            found = function(value)
+            if is_fixed(value):
+                with suppress(TypeError):  # to a tuple nothing refers weakly
+                    ref = weakref.ref(value, lambda _: known.pop(key, None))
+                    known[key] = ref, found
+            return found
+
+        return ask
+
+    return decorated
