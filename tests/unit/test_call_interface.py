@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from rollkane.codegen import NoCompilerError, check_usable
-from rollkane.codegen.ffi_call import Interface, XlaCall, callable_program
+from rollkane.codegen.call_interface import Interface, callable_program
+from rollkane.codegen.ffi_call import XlaCall
+from rollkane.codegen.targets import LATE
 
 HEADERS = sorted((Path(__file__).parents[1] / "data" / "call_interface").glob("*.h"))
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -29,7 +31,8 @@ DOUBLE = """void *called_by_xla(const CallFrame *frame) {
 
 def compiles(header: str) -> str:
     """What the compiler says of a loop for an XLA with this header; nothing is good."""
-    source = callable_program(Interface.of(header), np.float64, 1, {}, (DOUBLE,))
+    parts = DOUBLE, *LATE
+    source = callable_program(Interface.of(header), np.float64, 1, {}, parts)
     flags = ["-std=gnu11", "-Wall", "-Werror", "-fsyntax-only", "-x", "c", "-"]
     asked = [str(CC), *flags]
     done = subprocess.run(asked, input=source, text=True, capture_output=True)

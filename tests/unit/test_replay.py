@@ -161,7 +161,7 @@ def test_without_c(why, monkeypatch):
         def none(*arguments):
             raise NoCompilerError("no C compiler was found")
 
-        monkeypatch.setattr(ffi_call, "_target", none)
+        monkeypatch.setattr(ffi_call, "target_of", none)
     elif why == "device":
         monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     else:

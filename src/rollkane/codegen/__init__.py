@@ -7,11 +7,11 @@ lanes goes through memory a hundred times; a kernel of our own keeps it in regis
 from .compiler import NoCompilerError
 from .derivative_loops import CotangentLoop, Rates, TangentLoop, Way
 from .event_layout import Layout
-from .ffi_call import check_usable
 from .lane_loop import LaneLoop, Queue, Results, Stops
 from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
 from .right_hand_side import Looked, least_product, with_known_zeros, zeros_in, zeros_of
 from .run_loop import Course, RunLoop
+from .targets import check_usable, programs_awaited
 from .whole_program import Whole, in_one_program, in_one_program_or_not
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "in_one_program",
     "in_one_program_or_not",
     "least_product",
+    "programs_awaited",
     "with_known_zeros",
     "zeros_in",
     "zeros_of",

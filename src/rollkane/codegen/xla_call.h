@@ -51,12 +51,29 @@ typedef struct {
 typedef struct {
     size_t struct_size;
     Extension *extension_start;
-    const void *api, *context;
+    const char *message;
+    int code;
+} ErrorAsked;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    ApiVersion api_version;
+    const void *internal;
+    void *(*error_create)(ErrorAsked *asked);
+} Api; /* its first fields */
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
+    const Api *api;
+    const void *context;
     int stage;
     XlaBuffers args, rets;
 } CallFrame; /* its first fields */
 
-enum { METADATA = 1 }; /* the type of an extension that asks for the version */
+enum { METADATA = 1 };  /* the type of an extension that asks for the version */
+enum { INTERNAL = 13 }; /* the code of an error */
 
 typedef struct {
     const char *data;
@@ -107,17 +124,21 @@ INLINE long behind_alike(const Call *call, int i, long b, long end) {
     return b;
 }
 
+/* Whether only the interface's version is asked, which is told then. */
+static int told_version(const CallFrame *frame) {
+    const Extension *asked = frame->extension_start;
+    if (!asked || asked->type != METADATA) return 0;
+    ApiVersion *told = &((const MetadataExtension *)asked)->metadata->api_version;
+    told->struct_size = sizeof *told;
+    told->major_version = API_MAJOR;
+    told->minor_version = API_MINOR;
+    return 1;
+}
+
 /* The buffers, in the order of XLA's call, with how many axes are their own and the first
  * result's; 0 where only the interface's version is asked. */
 static int received(const CallFrame *frame, const int *axes, int result_axes, Call *call) {
-    const Extension *asked = frame->extension_start;
-    if (asked && asked->type == METADATA) {
-        ApiVersion *told = &((const MetadataExtension *)asked)->metadata->api_version;
-        told->struct_size = sizeof *told;
-        told->major_version = API_MAJOR;
-        told->minor_version = API_MINOR;
-        return 0;
-    }
+    if (told_version(frame)) return 0;
     for (int i = 0; i < frame->args.size; i++) {
         const XlaBuffer *b = frame->args.items[i];
         call->given[i] = (Buffer){b->data, b->dims, b->rank - axes[i], axes[i]};

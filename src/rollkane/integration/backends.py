@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import diffrax as dfx
 import jax
 
-from ..codegen import NoCompilerError
+from ..codegen import NoCompilerError, programs_awaited
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain
 from ..validation.checks import FieldError
@@ -108,7 +108,8 @@ def run_by(
         unusable = _unusable.get(_machine())
     if refusal is None and unusable is None:
         try:
-            return Taken(run(native=True), "native", "")
+            with programs_awaited():
+                return Taken(run(native=True), "native", "")
         except NotElementwiseError as error:
             refusal = f"the rates are more than arithmetic: {error}"
             _refusals[kind, _form_of(model)] = refusal
