@@ -44,6 +44,21 @@ def timed(function, repeats):
     return statistics.median(spans)
 
 
+def timed_in_turn(functions, repeats):
+    """Times of calls [s], one row a turn: as the machine is for one it is for all."""
+    import jax
+
+    rows = []
+    for i in range(repeats + 1):
+        row = []
+        for function in functions:
+            began = time.perf_counter()
+            jax.block_until_ready(function())
+            row.append(time.perf_counter() - began)
+        rows += [row] if i else []
+    return rows
+
+
 def singles(repeats):
     """One trajectory, final state only: C, and ``simulate`` without an argument."""
     import diffrax
@@ -83,31 +98,47 @@ def singles(repeats):
                 run = bare(rtol)
                 end = end_numbers(problem, run)
                 steps = int(run.steps + run.rejected_steps)
-                for call, ending in ((inside, ""), (bare, ", bare call")):
-                    state = lambda call=call, rtol=rtol: call(rtol).final_state
-                    add(
-                        f"rollkane {label}{ending}",
-                        rtol,
-                        end,
-                        timed(state, repeats),
-                        steps,
-                    )
+                calls = inside, bare
+                both = [lambda c=call, r=rtol: c(r).final_state for call in calls]
+                spans = timed_in_turn(both, repeats)
+                median = lambda of: statistics.median(map(of, spans))  # noqa: B023
+                add(f"rollkane {label}", rtol, end, median(lambda s: s[0]), steps)
+                called = f"rollkane {label}, bare call"
+                add(called, rtol, end, median(lambda s: s[1]), steps)
+                rows[-1]["more than inside"] = median(lambda s: s[1] - s[0])
     return rows
 
 
 def compared(rows):
-    """All at one error, over C."""
+    """All at one error, over C.
+
+    A step costs what time grows by with their number, over all tolerances: what a call
+    costs besides is in the time.
+    """
+    import numpy as np
+
     table = []
+    bare = {r["peer"] for r in rows if "more than inside" in r}
     for problem in PROBLEMS:
-        peers = dict.fromkeys(r["peer"] for r in rows)
-        found = {peer: at_error(rows, problem, peer, TARGET) for peer in peers}
+        of = {peer: [] for peer in dict.fromkeys(r["peer"] for r in rows)}
+        for r in rows:
+            of[r["peer"]] += [r] if r["problem"] == problem else []
+        found = {}
+        for peer, own in of.items():
+            steps, seconds = ([r[k] for r in own] for k in ("steps", "seconds"))
+            at = at_error(rows, problem, peer, TARGET)
+            # weights: each run's time is as uncertain as it is long
+            slope = np.polyfit(steps, seconds, 1, w=1.0 / np.array(seconds))[0]
+            found[peer] = at and (at[0], float(slope))
         for peer, it in found.items():
             row = {"problem": problem, "peer": peer, "error": TARGET}
-            row["seconds"], row["seconds_per_step"] = it or (None, None)
+            row["seconds"], row["a step, s"] = it or (None, None)
             for c in ("C DOPRI5", "C DOP853"):
                 for k, what in enumerate(("time", "step")):
                     both = it and found.get(c)
                     row[f"{what} / {c}"] = it[k] / found[c][k] if both else None
+            more = [1e6 * r["more than inside"] for r in of[peer] if r["peer"] in bare]
+            row["more than inside, us"] = statistics.median(more) if more else None
             table.append(row)
     return table
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jax.core import eval_context
 
 from ..validation.checks import is_traced
+from ..validation.remembered import holds_no_numpy, remembered
 
 # LLVM's optimization, and XLA's own translation of fused loops (only some releases of
 # jax know the name), take three quarters of the time of compiling.
@@ -99,6 +100,35 @@ def joined(fixed: Fixed, arrays: Sequence[Any]) -> Any:
     left = iter(arrays)
     leaves = [next(left) if kind is None else x for kind, x in fixed.leaves]
     return jax.tree.unflatten(fixed.tree, leaves)
+
+
+class Known:
+    """A hashable value, told from another by which it is: see :func:`known`."""
+
+    def __init__(self, value: Any):
+        """Hold it."""
+        self.value = value
+
+
+@functools.lru_cache(4096)  # as many as JAX keeps programs
+def known(value: Any) -> Known:
+    """The one holder of all equal values: a static argument found in no time.
+
+    JAX takes several microseconds a call to compare a scene's structure or a solver.
+    """
+    return Known(value)
+
+
+def _stays_as_it_is(tree: Any) -> bool:
+    # an array's only leaf is itself, held for ever; a tracer would hold its trace
+    return isinstance(tree, eqx.Module) and holds_no_numpy(tree) and not is_traced(tree)
+
+
+@remembered(_stays_as_it_is)
+def taken_apart(tree: Any) -> tuple[Known, list[Any]]:
+    """A tree's structure and its leaves: in place of it arguments of a short call."""
+    leaves, structure = cast("tuple[list[Any], Any]", jax.tree.flatten(tree))
+    return known(structure), leaves
 
 
 def around_a_loop(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..validation.checks import is_traced
-from ..validation.remembered import remembered
+from ..validation.remembered import holds_no_numpy, remembered
 from .data_movement import Numbers, as_objects, numbers_of
 from .event_layout import Layout
 from .jaxpr_types import Shaped
@@ -51,11 +51,7 @@ def zeros_of(x: Any) -> bytes:
     return (np.asarray(x) == 0).tobytes()
 
 
-def _holds_no_numpy(tree: Any) -> bool:
-    return not any(isinstance(x, np.ndarray) for x in jax.tree.leaves(tree))
-
-
-@remembered(_holds_no_numpy)  # and to list the leaves of a scene as much again
+@remembered(holds_no_numpy)  # and to list the leaves of a scene as much again
 def zeros_in(tree: Any) -> tuple[bytes, ...]:
     """:func:`zeros_of` each array of a tree, which is one value and does not change."""
     return tuple(map(zeros_of, jax.tree.leaves(tree)))

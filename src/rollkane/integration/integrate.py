@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from numpy.typing import DTypeLike
 
 from ..codegen import zeros_in
-from ..codegen.compile_effort import around_a_loop
+from ..codegen.compile_effort import Known, around_a_loop, known, taken_apart
 from ..kinematics.coordinates import pack, unpack
 from ..validation.checks import FieldError, cleared, is_traced, real, whole
 from ..validation.codes import NO_FAULT, first_fault
@@ -129,20 +129,21 @@ def integrate(
         zeros=zeros_in(model) if native else None,
         allowed=allowed,
     )
-    stops = stops_of(times)
     numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
     dt0 = None if dt0 is None else _scalar(dt0, dtype)
-    call = _around_loop if native else _integrate
-    if stepsize_controller is None and saveat is None:
-        return call(plan, None, model, start, times, stops, numbers, dt0, events)
-    arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
-    return call(plan, arrays, model, start, times, stops, numbers, dt0, events)
+    arrays = None
+    if stepsize_controller is not None or saveat is not None:
+        arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
+    structure, leaves = taken_apart(model)
+    rest = arrays, leaves, start, times, stops_of(times), numbers, dt0, events
+    return (_around_loop if native else _integrate)(known(plan), structure, *rest)
 
 
 def _integrated(
-    plan: Plan,
+    known_plan: Known,
+    structure: Known,
     plan_arrays: Plan | None,
-    model: Any,
+    leaves: list[Array],
     start: Any,
     times: Float[Array, " T"],
     stops: Stops,
@@ -150,7 +151,9 @@ def _integrated(
     dt0: Float[Array, ""] | None,
     events: Events,
 ) -> Outcome:
+    plan: Plan = known_plan.value
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
+    model = jax.tree.unflatten(structure.value, leaves)
 
     def size(x: Array) -> jax.ShapeDtypeStruct:
         return jax.ShapeDtypeStruct(x.shape, x.dtype)
@@ -229,7 +232,7 @@ def _outcome(found: Solution, like: Any, fault: Array) -> Outcome:
 
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
-_jit = functools.partial(jax.jit, _integrated, static_argnums=0)
+_jit = functools.partial(jax.jit, _integrated, static_argnums=(0, 1))
 _integrate: Callable[..., Outcome] = _jit()
 _around_loop: Callable[..., Outcome] = around_a_loop(_jit)
 

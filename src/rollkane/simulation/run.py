@@ -216,20 +216,15 @@ def _trajectory(
     method: str,
     why: str,
 ) -> Trajectory:
-    found = outcome.happened
+    # in a tenth of the time of as many attributes
+    parts: dict[str, Any] = dict(vars(outcome)) | {"code": code}
+    found = parts.pop("happened")
     return Trajectory(
-        time=outcome.time,
-        state=outcome.state,
         scene=scene,
-        code=code,
-        final_time=outcome.final_time,
-        final_state=outcome.final_state,
-        steps=outcome.steps,
-        rejected_steps=outcome.rejected_steps,
-        fault=outcome.fault,
         event_record=None if found is None else record_of(events, found),
         method=method,
         why=why,
+        **parts,
     )
 
 
@@ -355,9 +350,10 @@ _PROBLEMS = {
 
 def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
     """The code, once it is seen what a small step was."""
-    code, t, state = outcome.code, outcome.final_time, outcome.final_state
-    if not is_traced(code) and not is_stuck(int(code)):
+    code = outcome.code
+    if not is_traced(code) and not is_stuck(code.item()):
         return code  # nothing to explain, and nothing to compile
+    t, state = outcome.final_time, outcome.final_state
     bad = outcome.fault != NO_FAULT
     if explains_ends(scene, state):
         found = cast(Array, explained(code, scene, t, state))

@@ -110,7 +110,7 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
             remedy += "; several starts are rollkane.ensemble's"
         raise FieldError(where, start, "must be a State", remedy)
     form = _form_of(scene)
-    if form.slips != start.slips:
+    if form.slips != type(start).slips:
         raise FieldError(
             where,
             start,
@@ -118,8 +118,9 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
             "place the body in this scene",
         )
     charts = isinstance(start, VoronetsState)
+    own = vars(start)  # in a fifth of the time of as many attributes
     for field, wanted in (form.in_charts if charts else form.pole_free).items():
-        shape = getattr(start, field).shape
+        shape = own[field].shape
         if shape != wanted:
             raise FieldError(
                 f"{where}.{field}",
@@ -128,15 +129,16 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
                 "place the body in this scene (a batch of starts needs jax.vmap)",
             )
     bodies = form.bodies
-    if len(bodies) != len(start.supported):
+    supported = own.get("supported", ())
+    if len(bodies) != len(supported):
         raise FieldError(
             f"{where}.supported",
-            f"{len(start.supported)} states",
+            f"{len(supported)} states",
             f"must have one for each RollingBody of the scene, {len(bodies)}",
             "place the body with supported=, in pole-free coordinates",
         )
-    for k, (part, own) in enumerate(zip(bodies, start.supported, strict=True)):
-        check_start(part.scene, own, f"{where}.supported[{k}]")
+    for k, (part, state) in enumerate(zip(bodies, supported, strict=True)):
+        check_start(part.scene, state, f"{where}.supported[{k}]")
 
 
 def check_span(scene: Scene, times: Any) -> None:

@@ -6,6 +6,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
 
+import jax
+import numpy as np
+
 _Found = TypeVar("_Found")
 
 
@@ -39,3 +42,8 @@ def remembered(
         return ask
 
     return decorated
+
+
+def holds_no_numpy(tree: Any) -> bool:
+    """Whether no number of a tree can be changed in its place."""
+    return not any(isinstance(x, np.ndarray) for x in jax.tree.leaves(tree))
