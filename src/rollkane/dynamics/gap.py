@@ -34,8 +34,10 @@ _NEWTON = 16
 # rounding does not let it
 _CLOSE = 64
 
-# Steps taken, the state, and what was left before the last step [m].
-_Search: TypeAlias = tuple[Int[Array, ""], FlyingState, Float[Array, ""]]
+# Coordinates of the nearest points on base and body.
+_Places: TypeAlias = tuple[Array, Array]
+# Steps taken, the points, and what was left before the last step [m].
+_Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""]]
 
 
 def nearest(
@@ -52,9 +54,16 @@ def nearest(
     where the search did not converge. Where there are several nearest points, the ones
     next to the start are followed.
     """
-    fixed = jax.lax.stop_gradient((scene, t, state))
-    begun = fixed[2]
-    size = 1.0 + norm(begun.position)
+    places, converged = _searched(*jax.lax.stop_gradient((scene, t, state)))
+    gap, state = _nearest_from(scene, t, state, places)
+    return jnp.where(converged, gap, jnp.nan), state
+
+
+def _searched(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[_Places, Bool[Array, ""]]:
+    """The nearest points, and whether the search converged."""
+    size = 1.0 + norm(state.position)
     close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
 
     def going(carry: _Search) -> Bool[Array, ""]:
@@ -62,17 +71,24 @@ def nearest(
         return (count < _NEWTON) & (left > close)
 
     def improve(carry: _Search) -> _Search:
-        count, state, _ = carry
-        return count + 1, *_improved(*fixed[:2], state)
+        count, places, _ = carry
+        return count + 1, *_improved(scene, t, eqx.tree_at(_places, state, places))
 
-    carry = jnp.asarray(0), begun, jnp.full_like(close, jnp.inf)
+    carry = jnp.asarray(0), _places(state), jnp.full_like(close, jnp.inf)
     _, found, left = jax.lax.while_loop(going, improve, carry)
-    # one step more has the derivative of the points, by the implicit function
-    state, _ = _improved(scene, t, eqx.tree_at(_places, state, _places(found)))
-    gap = _apart(scene, t, state, _none(scene, state))[1]
-    double = close.dtype == jnp.float64
-    converged = left <= (1e-9 if double else 1e-4) * size
-    return jnp.where(converged, gap, jnp.nan), state
+    return found, left <= (1e-9 if close.dtype == jnp.float64 else 1e-4) * size
+
+
+def _nearest_from(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, places: _Places
+) -> tuple[Float[Array, ""], FlyingState]:
+    """:func:`nearest` from points that are it, to which it gives their derivative.
+
+    One step more of the search has it, by the implicit function.
+    """
+    found, _ = _improved(scene, t, eqx.tree_at(_places, state, places))
+    state = eqx.tree_at(_places, state, found)
+    return _apart(scene, t, state)[1], state
 
 
 def nearest_anywhere(
@@ -96,21 +112,23 @@ def nearest_anywhere(
             on_body = body.locate(on_body_axes(*fixed, place))
         return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
 
-    near: Callable[[Array], tuple[Array, FlyingState]] = lambda place: nearest(
-        *fixed[:2], begun(place)
-    )
-    found, closest = jax.vmap(near)(starts)
+    def near(place: Float[Array, "3"]) -> tuple[Array, _Places]:
+        gap, closest = nearest(*fixed[:2], begun(place))
+        return gap, _places(closest)
+
+    # one after the other: a program of one is compiled in a fraction of the time
+    found, closest = cast("tuple[Array, _Places]", jax.lax.map(near, starts))
     # far from an uneven base Newton's method may go astray: there the samples will do
     size = reach_of(body, gaps.dtype)
     strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
     best = jnp.argmin(jnp.where(strays, gaps, found))
     at_best: Callable[[Array], Array] = lambda x: x[best]
-    place = jax.tree.map(at_best, _places(closest))
-    gap, closest = nearest(scene, t, eqx.tree_at(_places, state, place))
+    place = jax.tree.map(at_best, closest)
+    gap, closest = _nearest_from(scene, t, state, place)
     return jnp.where(strays[best], gaps[best], gap), closest
 
 
-def _places(state: FlyingState) -> tuple[Array, Array]:
+def _places(state: FlyingState) -> _Places:
     return state.contact_on_base, state.contact_on_body
 
 
@@ -226,24 +244,31 @@ def _found(
     return nearest_anywhere(scene, t, state)
 
 
-def _unknowns(scene: Scene) -> int:
-    return 4 if scene.has_contact_coordinates else 2
-
-
-def _none(scene: Scene, state: FlyingState) -> Array:
-    return jnp.zeros(_unknowns(scene), state.position.dtype)
-
-
 def _improved(
     scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[FlyingState, Array]:
-    """After a Newton step, and the largest of what was left before it."""
-    rest = _none(scene, state)
-    left = _apart(scene, t, state, rest)[0]
-    apart: Callable[[Array], Array] = lambda x: _apart(scene, t, state, x)[0]
-    slope = cast(Array, jax.jacfwd(apart)(rest))
-    solve = solve_2x2 if left.shape[0] == 2 else _solve_by_points
-    return _moved(scene, state, -solve(slope, left)), jnp.max(jnp.abs(left))
+) -> tuple[_Places, Array]:
+    """Points after a Newton step, and the largest of what was left before it."""
+    base, body = scene.base.surface, scene.body.surface
+    ground = base.geometry(state.contact_on_base)
+    shell = None
+    if scene.has_contact_coordinates:
+        shell = body.geometry(state.contact_on_body)
+
+    def moved(x: Float[Array, " m"]) -> _Places:
+        on_base, on_body = _places(state)
+        on_base = on_base + base.coordinate_rates(on_base, ground, x[:2])
+        if shell is not None:
+            on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
+        return base.settled(on_base), body.settled(on_body)
+
+    def apart(x: Float[Array, " m"]) -> tuple[Array, Array]:
+        left, _ = _apart(scene, t, eqx.tree_at(_places, state, moved(x)))
+        return left, left
+
+    rest = jnp.zeros(2 if shell is None else 4, state.position.dtype)
+    slope, left = cast("tuple[Array, Array]", jax.jacfwd(apart, has_aux=True)(rest))
+    solve = solve_2x2 if shell is None else _solve_by_points
+    return moved(-solve(slope, left)), jnp.max(jnp.abs(left))
 
 
 def _solve_by_points(
@@ -255,19 +280,6 @@ def _solve_by_points(
     rest = slope[2:, 2:] - matmul(slope[2:, :2], by_body)
     body = solve_2x2(rest, left[2:] - matvec(slope[2:, :2], own))
     return jnp.concatenate([own - matvec(by_body, body), body])
-
-
-def _moved(scene: Scene, state: FlyingState, x: Float[Array, " m"]) -> FlyingState:
-    """The state with nearest points moved by tangent coordinates."""
-    base, body = scene.base.surface, scene.body.surface
-    on_base, on_body = state.contact_on_base, state.contact_on_body
-    ground = base.geometry(on_base)
-    on_base = on_base + base.coordinate_rates(on_base, ground, x[:2])
-    if scene.has_contact_coordinates:
-        shell = body.geometry(on_body)
-        on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
-    places = base.settled(on_base), body.settled(on_body)
-    return eqx.tree_at(_places, state, places)
 
 
 def on_body_axes(
@@ -292,10 +304,9 @@ def _points(
 
 
 def _apart(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, x: Float[Array, " m"]
+    scene: Scene, t: Float[Array, ""], state: FlyingState
 ) -> tuple[Float[Array, " m"], Float[Array, ""]]:
     """How far the points are from being nearest, and their distance [m]."""
-    state = _moved(scene, state, x)
     _, place, to_base = flying_pose(scene, t, state)
     ground, point = _points(scene, state, to_base)
     first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
