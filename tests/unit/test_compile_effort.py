@@ -43,7 +43,7 @@ def test_known_arguments_inside_a_trace_stay_known():
 def test_around_a_loop_in_every_order(first):
     """First inside of a trace, or of a derivative of something else, then outside."""
     three = jnp.asarray(3.0)
-    times = around_a_loop(functools.partial(jax.jit, lambda x: 2.0 * x))
+    times = around_a_loop(lambda x: 2.0 * x, jax.jit)
     assert first(lambda x: times(three) * x)(three) in (18.0, 6.0)
     assert jax.grad(lambda x: times(three) * times(x))(three) == 12.0
     assert times(three) == 6.0
@@ -51,6 +51,31 @@ def test_around_a_loop_in_every_order(first):
     assert (jax.vmap(times)(jnp.arange(2.0)) == jnp.array([0.0, 2.0])).all()
     assert jax.jit(times)(three) == 6.0
     assert times(three) == 6.0
+
+
+@pytest.mark.parametrize("derivative", [jax.grad, jax.jacfwd])
+def test_what_is_first_differentiated_is_not_traced_without(derivative):
+    traced = []
+
+    @jax.custom_jvp
+    def square(x):
+        traced.append(x)
+        return x * x
+
+    @square.defjvp
+    def _(primals, tangents):
+        (x,), (x_dot,) = primals, tangents
+        return x * x, 2.0 * x * x_dot
+
+    squared = around_a_loop(lambda x, y: square(x) + y[0], jax.jit)
+    known = np.array([1.0, 2.0])
+    slope = jax.jit(derivative(lambda x: squared(x, known)))
+    assert slope(3.0) == 6.0
+    assert not traced
+    several = lambda x: squared(x, known) * squared(x + 1.0, known)
+    assert jax.jit(derivative(several))(1.0) == 2.0 * 5.0 + 2.0 * 4.0
+    assert jax.jit(jax.vmap(slope))(jnp.arange(2.0)).tolist() == [0.0, 2.0]
+    assert squared(3.0, known) == 10.0
 
 
 @pytest.mark.parametrize("first", [jax.jit, jax.grad])

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.extend.core
 import jax.numpy as jnp
+import numpy as np
 from jax.core import eval_context
 
 from ..validation.checks import is_traced
@@ -131,12 +132,18 @@ def taken_apart(tree: Any) -> tuple[Known, list[Any]]:
     return known(structure), leaves
 
 
-def around_a_loop(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:
-    """``jit()``'s function, with little effort where it is a program of its own.
+def around_a_loop(
+    function: Callable[..., Any], jit: Callable[..., Any] = eqx.filter_jit
+) -> Callable[..., Any]:
+    """``jit(function)``, with little effort where it is a program of its own.
 
-    For what does little beside a loop in C; ``jit`` takes ``compiler_options``.
+    For what does little beside a loop in C; ``jit`` takes ``compiler_options``. Where
+    it is first differentiated inside of another program, that traces ``function``
+    itself: JAX would trace a jitted one without its derivative first, for nothing.
     """
-    plain, quick = jit(), with_little_effort(jit)
+    plain = jit(function)
+    quick = with_little_effort(functools.partial(jit, function))
+    differentiated: set[Any] = set()
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
 
     def call(*arguments: Any) -> Any:
@@ -144,7 +151,13 @@ def around_a_loop(jit: Callable[..., Callable[..., Any]]) -> Callable[..., Any]:
         now = None if _state is None else _state()
         # what is known already is known in a twentieth of the time
         if now is None or now != outside:
-            if is_traced(arguments, jnp.zeros(())):
+            inside = is_traced(jnp.zeros(()))
+            if inside and _is_differentiated(arguments):
+                form = _form_of(arguments)
+                if form not in differentiated:  # a second one has JAX's memory of it
+                    differentiated.add(form)
+                    return function(*_with_no_numpy(arguments))
+            if inside or is_traced(arguments):
                 return plain(*arguments)
             outside = now
         try:
@@ -184,6 +197,33 @@ def with_little_effort(jit: Callable[..., Callable[..., Any]]) -> Callable[..., 
                 compiled = None
 
     return call
+
+
+# JAX offers no public names for them; without, it takes longer as it did before
+_OF_DERIVATIVES = "JVPTracer", "LinearizeTracer"
+
+
+def _is_differentiated(arguments: Any) -> bool:
+    leaves = jax.tree.leaves(arguments)
+    return any(type(x).__name__ in _OF_DERIVATIVES for x in leaves)
+
+
+def _form_of(arguments: Any) -> Any:
+    """What JAX compiles anew for."""
+    leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(arguments))
+    arrays = [eqx.is_array(x) for x in leaves]
+    return tree, tuple(
+        (x.shape, x.dtype) if is_array else x
+        for x, is_array in zip(leaves, arrays, strict=True)
+    )
+
+
+def _with_no_numpy(arguments: Any) -> Any:
+    """As a jitted function sees them."""
+    known: Callable[[Any], Any] = lambda x: (
+        jnp.asarray(x) if isinstance(x, np.ndarray) else x
+    )
+    return jax.tree.map(known, arguments)
 
 
 def _only_mapped(arguments: Any) -> bool:

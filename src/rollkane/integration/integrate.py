@@ -232,9 +232,9 @@ def _outcome(found: Solution, like: Any, fault: Array) -> Outcome:
 
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
-_jit = functools.partial(jax.jit, _integrated, static_argnums=(0, 1))
-_integrate: Callable[..., Outcome] = _jit()
-_around_loop: Callable[..., Outcome] = around_a_loop(_jit)
+_jit = functools.partial(jax.jit, static_argnums=(0, 1))
+_integrate: Callable[..., Outcome] = _jit(_integrated)
+_around_loop: Callable[..., Outcome] = around_a_loop(_integrated, _jit)
 
 
 _warned: set[str] = set()

@@ -331,8 +331,8 @@ def _through_changes(
     )
 
 
-_jit = functools.partial(eqx.filter_jit, _through_changes)
-_by_xla, _around_loop = _jit(), around_a_loop(_jit)
+_by_xla = eqx.filter_jit(_through_changes)
+_around_loop = around_a_loop(_through_changes)
 
 
 def _spin(state: AnyState) -> Float[Array, "3"]:

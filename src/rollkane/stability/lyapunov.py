@@ -11,7 +11,6 @@ import functools
 from os import PathLike
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -314,4 +313,4 @@ def _followed(
     return cast(_Batch, jax.lax.fori_loop(0, pieces, onward, begun))
 
 
-_batch = around_a_loop(functools.partial(eqx.filter_jit, _followed))
+_batch = around_a_loop(_followed)

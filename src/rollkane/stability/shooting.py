@@ -8,7 +8,6 @@ that every segment begins there.
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -159,9 +158,7 @@ def _shot(
     return Segment(miss, beside, moved.changes, rate, end, moved.code)
 
 
-_segment = around_a_loop(
-    lambda **options: eqx.filter_jit(_shot, **options)  # pyright: ignore
-)
+_segment = around_a_loop(_shot)
 
 
 def closing(shot: Shooting, nodes: Nodes) -> Closing:
