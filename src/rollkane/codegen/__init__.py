@@ -11,7 +11,7 @@ from .lane_loop import LaneLoop, Queue, Results, Stops
 from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
 from .right_hand_side import Looked, least_product, with_known_zeros, zeros_in, zeros_of
 from .run_loop import Course, RunLoop
-from .targets import check_usable, programs_awaited
+from .targets import check_usable, prepare_calls, programs_awaited
 from .whole_program import Whole, in_one_program, in_one_program_or_not
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "in_one_program",
     "in_one_program_or_not",
     "least_product",
+    "prepare_calls",
     "programs_awaited",
     "with_known_zeros",
     "zeros_in",

@@ -17,7 +17,7 @@ import numpy as np
 from jax.typing import DTypeLike
 
 from .call_interface import callable_program, installed
-from .compiler import Program, program_of
+from .compiler import NoCompilerError, Program, program_of
 from .run_watch import follow
 
 _SLOTS = 128  # programs of a process that may be late; others are waited for
@@ -37,7 +37,26 @@ def check_usable() -> None:
 
 
 @functools.cache
+def prepare_calls() -> None:
+    """Begin to compile them beside what goes on, which then need not wait; once."""
+
+    def made() -> None:
+        with contextlib.suppress(NoCompilerError, OSError):  # said where it is needed
+            _late()
+
+    threading.Thread(target=made, daemon=True).start()
+
+
+_MAKING = threading.Lock()
+
+
 def _late() -> "_Late":
+    with _MAKING:  # one waits for the other
+        return _made()
+
+
+@functools.cache
+def _made() -> "_Late":
     return _Late()
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import diffrax as dfx
 import jax
 
-from ..codegen import NoCompilerError, programs_awaited
+from ..codegen import NoCompilerError, prepare_calls, programs_awaited
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain
 from ..validation.checks import FieldError
@@ -107,6 +107,7 @@ def run_by(
     if refusal is None and _unusable:
         unusable = _unusable.get(_machine())
     if refusal is None and unusable is None:
+        prepare_calls()
         try:
             with programs_awaited():
                 return Taken(run(native=True), "native", "")
