@@ -5,8 +5,9 @@ of a few calls, and what stands around a loop in C.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
+from itertools import count
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -143,7 +144,12 @@ def around_a_loop(
     """
     plain = jit(function)
     quick = with_little_effort(functools.partial(jit, function))
-    differentiated: set[Any] = set()
+
+    # of each form, how often it was differentiated inside of another program
+    @functools.lru_cache(256)
+    def times(form: Any) -> Iterator[int]:
+        return count()
+
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
 
     def call(*arguments: Any) -> Any:
@@ -152,11 +158,10 @@ def around_a_loop(
         # what is known already is known in a twentieth of the time
         if now is None or now != outside:
             inside = is_traced(jnp.zeros(()))
-            if inside and _is_differentiated(arguments):
-                form = _form_of(arguments)
-                if form not in differentiated:  # a second one has JAX's memory of it
-                    differentiated.add(form)
-                    return function(*_with_no_numpy(arguments))
+            differentiated = inside and _is_differentiated(arguments)
+            # a second time JAX remembers what the jitted one was
+            if differentiated and not next(times(_form_of(arguments))):
+                return function(*_with_no_numpy(arguments))
             if inside or is_traced(arguments):
                 return plain(*arguments)
             outside = now
