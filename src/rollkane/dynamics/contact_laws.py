@@ -21,6 +21,7 @@ from ..geometry.small_linear import (
     dot,
     factored_spd,
     matvec_transposed,
+    sign,
     solve_spd,
 )
 from ..kinematics.contact import Contact
@@ -177,7 +178,7 @@ def _as_it_begins(
     columns = [solve([*others, *last]) for last in ((one, None), (None, one))]
     end: Callable[[list[Array]], Array] = lambda x: jnp.stack(x[-2:])
     value = push.value - _dot(push.row, bare)
-    sense = 1.0 if push.one_sided else jnp.where(value < 0.0, -1.0, 1.0)
+    sense = 1.0 if push.one_sided else sign(value)
     b, A = end(bare), jnp.stack([end(x) for x in columns], axis=1)
     r = sense * jnp.stack([_dot(push.row, x) for x in columns])
     own = push.own + sense * _dot(push.row, answer)

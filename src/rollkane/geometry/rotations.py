@@ -10,7 +10,7 @@ from typing import cast
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .small_linear import components, cross, dot, inverse_sqrt
+from .small_linear import components, cross, dot, inverse_sqrt, sign
 
 
 def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
@@ -137,8 +137,8 @@ def tangent_pair(
     Source: Duff et al., Building an orthonormal basis, revisited (2017).
     """
     x, y, z = components(normal)
-    sign = jnp.where(z < 0.0, -1.0, 1.0).astype(normal.dtype)
-    a = -1.0 / (sign + z)
+    s = sign(z)
+    a = -1.0 / (s + z)
     b = x * y * a
-    first = jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x])
-    return first, jnp.stack([b, sign + y * y * a, -y])
+    first = jnp.stack([1.0 + s * x * x * a, s * b, -s * x])
+    return first, jnp.stack([b, s + y * y * a, -y])

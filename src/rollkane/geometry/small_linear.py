@@ -57,6 +57,12 @@ def _inverse_sqrt_jvp(
     return value, -0.5 * value * value * value * tangents[0]
 
 
+def sign(x: Float[Array, "*B"]) -> Float[Array, "*B"]:
+    """-1 below zero, else 1."""
+    one = jnp.ones_like(x)  # two plain numbers would be of the default precision
+    return jnp.where(x < 0.0, -one, one)
+
+
 def cross(a: Float[Array, "3 *B"], b: Float[Array, "3 *B"]) -> Float[Array, "3 *B"]:
     """Vector product in right-handed axes."""
     a0, a1, a2 = components(a)

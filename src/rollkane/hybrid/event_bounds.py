@@ -7,6 +7,7 @@ step is cut at its lowest place, and is then looked at again, in halves whose bo
 sixteen times closer. Equations: docs/theory.md, (8.1) to (8.3).
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
@@ -140,7 +141,7 @@ def _columns(x: _T) -> list[_T]:
     columns: list[_T] = []
     for i, own in enumerate(places):
         others = [p for k, p in enumerate(places) if k != i]
-        scale = np.prod([own - p for p in others])
+        scale = math.prod(own - p for p in others)
         a, b, c = others
         columns.append((x - a) * (x - b) * (x - c) / scale)
     return columns

@@ -16,7 +16,7 @@ from ..dynamics.rolling import (
     at_contact,
     rolling_derivative,
 )
-from ..geometry.small_linear import dot
+from ..geometry.small_linear import dot, sign
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, cubic, stays_positive
 from .modes import HybridState, Mode, Modes, Scenes, of, slipping
@@ -343,7 +343,7 @@ def beside_ends(last: _Numbers) -> list[tuple[float, _Numbers]]:
     count = last.shape[0]
     found: list[tuple[float, Any]] = []
     for share in BESIDE:
-        _, first, rise, behind = cubic(np.array([share]))[0]
+        _, first, rise, behind = cubic(np.array([share]))[0].tolist()
         ends = np.zeros(count)
         ends[0], ends[-1] = first, behind
         found.append((share, rise * last + ends.astype(last.dtype)))
@@ -353,11 +353,6 @@ def beside_ends(last: _Numbers) -> list[tuple[float, _Numbers]]:
 def not_zero(x: Float[Array, ""]) -> Float[Array, ""]:
     """A divisor, which is nothing where there is nothing to divide."""
     return jnp.where(x == 0.0, 1.0, x)
-
-
-def sign(x: Float[Array, ""]) -> Float[Array, ""]:
-    """-1 below zero, else 1."""
-    return jnp.where(x < 0.0, -1.0, 1.0)
 
 
 def picked(where: Bool[Array, ""], new: _T, old: _T) -> _T:

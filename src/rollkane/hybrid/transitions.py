@@ -18,8 +18,8 @@ from ..dynamics.rolling import (
     at_contact,
     contact_of,
 )
-from ..geometry.small_linear import cross, dot, matvec, matvec_transposed
-from .mode_rates import ModeRates, not_zero, picked, sign, size_of
+from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, sign
+from .mode_rates import ModeRates, not_zero, picked, size_of
 from .modes import HybridState, Mode, of, slipping
 
 FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
@@ -44,7 +44,8 @@ class Motion(ModeRates):
         Of one that begins where it no longer does.
         """
         fast = dot(y.slip, y.slip)
-        least = jnp.where(begins(direction), ONSET, FOLLOWED)
+        onset, followed = jnp.asarray((ONSET, FOLLOWED), fast.dtype)
+        least = jnp.where(begins(direction), onset, followed)
         known = (mode == Mode.SLIPPING) & (fast > least**2)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction

@@ -79,7 +79,9 @@ def euler_lagrange_derivative(
     own = in_charts(scene, t, state) if isinstance(state, State) else state
     contact = contact_of(scene, t, own)
     assert isinstance(contact, ChartContact)
-    solved = _solved(residual_of(scene, t, own, contact, equations), 3 + own.alpha.size)
+    residual = residual_of(scene, t, own, contact, equations)
+    origin = jnp.zeros(3 + own.alpha.size, state.angular_velocity.dtype)
+    solved = _solved(residual, origin)
     # w' on body axes: (sigma', tau', n') = w'|e + w_1 x w, (5.1)
     on_frame = solved[:3] - cross(contact.frame_turn, own.angular_velocity)
     w_dot = matvec(contact.shell.frame, on_frame)
@@ -88,15 +90,14 @@ def euler_lagrange_derivative(
     return state.rates(contact, w_dot, solved[3:])
 
 
-def _solved(residual: _Residual, size: int) -> Float[Array, " m"]:
+def _solved(residual: _Residual, origin: Float[Array, " m"]) -> Float[Array, " m"]:
     """Where an affine residual with a symmetric positive definite matrix vanishes."""
-    dtype = jnp.result_type(float)
     constant, linear = cast(
-        tuple[Array, Callable[[Array], Array]],
-        jax.linearize(residual, jnp.zeros(size, dtype)),
+        tuple[Array, Callable[[Array], Array]], jax.linearize(residual, origin)
     )
-    columns = [components(linear(unit)) for unit in jnp.eye(size, dtype=dtype)]
-    rows = [[columns[j][i] for j in range(i + 1)] for i in range(size)]
+    units = jnp.eye(origin.size, dtype=origin.dtype)
+    columns = [components(linear(unit)) for unit in units]
+    rows = [[columns[j][i] for j in range(i + 1)] for i in range(origin.size)]
     return jnp.stack(solve_spd(rows, components(-constant)))
 
 

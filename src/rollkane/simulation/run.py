@@ -49,6 +49,7 @@ from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
 from .event_record import events_in_modes, events_of, record_of
+from .precision import in_one_precision, in_precision
 from .run_checks import (
     check_law,
     check_modes,
@@ -149,6 +150,7 @@ def simulate(
             names, a start that does not belong to the scene.
     """
     check_scene("simulate", scene, start)
+    scene, start = in_one_precision(scene, start)
     _check_names(formulation, coordinates)
     check_method(method)
     parts = {
@@ -253,6 +255,7 @@ def _simulate_modes(
     """A run that changes between rolling, slipping and flight."""
     check_modes(scene, start, modes)
     dtype = start.angular_velocity.dtype
+    modes = in_precision(dtype, modes)
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
     if not is_traced(times) and times[-1] < times[0]:
