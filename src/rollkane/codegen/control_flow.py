@@ -4,6 +4,7 @@ Small arrays are single numbers, larger ones lie in memory and are worked off in
 A branch that is not taken costs nothing, a loop has its body once.
 """
 
+import functools
 import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
@@ -54,32 +55,32 @@ class Structured(MemoryWalk):
         """Outputs of a program inside of the program."""
         begun = (*map(self.of_its_size, closed), *values)
         known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
-        last: dict[Variable, float] = {}
+        last: dict[Variable, float] | None = None
         for i, equation in enumerate(jaxpr.eqns):
-            last.update((v, i) for v in equation.invars if not _is_literal(v))
-        last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
-        for i, equation in enumerate(jaxpr.eqns):
-            names = [v for v in equation.invars if not _is_literal(v)]
-            if not self._takes_memory(equation):
-                known.update((v, self.numbers(known[v])) for v in names)
-            free = {v for v in names if _is_free(v, known, names, last, i)}
-            inputs = [
-                _read(v, known) if _is_literal(v) or v in free else kept(known[v])
-                for v in equation.invars
-            ]
+            inputs = [_read(v, known) for v in equation.invars]
+            if any(isinstance(x, Memory) for x in inputs):
+                last = last or _last_uses(jaxpr)
+                inputs = self._of_memory(equation, i, known, last)
             results = map(self.of_its_size, self.results(equation, inputs))
             known.update(zip(equation.outvars, results, strict=True))
         return [_read(v, known) for v in jaxpr.outvars]
 
-    def _takes_memory(self, equation: Equation) -> bool:
-        """Whether an equation has its own way with small arrays in memory."""
-        name = equation.primitive.name
-        if name in _WITH_PROGRAMS or name in OPERATIONS:
-            return True
-        if program_of(equation) is not None:
-            return True
-        sizes = [v.aval.size for v in (*equation.invars, *equation.outvars)]
-        return max(sizes) > SMALL
+    def _of_memory(
+        self,
+        equation: Equation,
+        i: int,
+        known: dict[Variable, Value],
+        last: dict[Variable, float],
+    ) -> list[Value]:
+        """Inputs of equation i: numbers, or arrays, owned where it may change them."""
+        names = [v for v in equation.invars if not _is_literal(v)]
+        if not _takes_memory(equation):
+            known.update((v, self.numbers(known[v])) for v in names)
+        free = {v for v in names if _is_free(v, known, names, last, i)}
+        return [
+            _read(v, known) if _is_literal(v) or v in free else kept(known[v])
+            for v in equation.invars
+        ]
 
     def results(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         """What one equation gives."""
@@ -96,8 +97,7 @@ class Structured(MemoryWalk):
             return own(self, equation, inputs)
         if name in _WITH_PROGRAMS:
             return super().results(equation, inputs)
-        sizes = [x.size for x in inputs] + [v.aval.size for v in equation.outvars]
-        if max(sizes) <= SMALL:
+        if not _has_large(equation):
             return super().results(equation, inputs)
         return in_memory(self, equation, inputs)
 
@@ -297,6 +297,32 @@ class Structured(MemoryWalk):
     def _run(self, closed: ClosedJaxpr, values: list[Value]) -> list[Value]:
         """A program inside of the program."""
         return self.through(closed.jaxpr, closed.consts, values)
+
+
+def _takes_memory(equation: Equation) -> bool:
+    """Whether an equation has its own way with small arrays in memory."""
+    name = equation.primitive.name
+    if name in _WITH_PROGRAMS or name in OPERATIONS:
+        return True
+    return program_of(equation) is not None or _has_large(equation)
+
+
+def _has_large(equation: Equation) -> bool:
+    """Whether any array of an equation is one in memory."""
+    arrays = *equation.invars, *equation.outvars
+    return any(_count(v.aval.shape) > SMALL for v in arrays)
+
+
+_count = functools.cache(math.prod)  # of the few shapes that there are
+
+
+def _last_uses(jaxpr: Jaxpr) -> dict[Variable, float]:
+    """Of each variable, the last equation that reads it; infinite for results."""
+    last: dict[Variable, float] = {}
+    for i, equation in enumerate(jaxpr.eqns):
+        last.update((v, i) for v in equation.invars if not _is_literal(v))
+    last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
+    return last
 
 
 def _is_literal(v: object) -> TypeGuard[Literal]:

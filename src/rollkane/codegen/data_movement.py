@@ -18,18 +18,12 @@ def numbers_of(array: Any) -> Numbers:
         flat = jax.numpy.reshape(array, -1)
         return as_objects(jax.numpy.unstack(flat) if flat.size else (), array.shape)
     array = np.asarray(array)
-    numbers = np.empty(array.shape, object)
-    for index in np.ndindex(array.shape):
-        numbers[index] = array[index]
-    return numbers
+    return as_objects([*array.reshape(-1)], array.shape)
 
 
 def as_objects(values: Any, shape: tuple[int, ...]) -> Numbers:
     """Values in order as an array of objects: NumPy would look into them."""
-    numbers = np.empty(len(values), object)
-    for i, value in enumerate(values):
-        numbers[i] = value
-    return numbers.reshape(shape)
+    return np.fromiter(values, object, len(values)).reshape(shape)
 
 
 def _broadcast(inputs: list[Numbers], params: Params) -> Numbers:

@@ -19,6 +19,7 @@ _IN_NUMPY: dict[str, Callable[..., Any]] = {
     "add_any": operator.add,
     "sub": operator.sub,
     "mul": operator.mul,
+    "div": operator.truediv,  # as IEEE 754 has it, in any library
     "neg": operator.neg,
     "lt": operator.lt,
     "le": operator.le,
@@ -39,8 +40,9 @@ _IN_NUMPY: dict[str, Callable[..., Any]] = {
 
 def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) -> Any:
     """The number that an operation on known numbers gives."""
-    if name in _IN_NUMPY:
-        return dtype.type(_IN_NUMPY[name](*operands))
+    known = _IN_NUMPY.get(name)
+    if known is not None and (name != "div" or dtype.kind == "f"):
+        return dtype.type(known(*operands))
     if name in ("copy", "convert_element_type", "stop_gradient"):
         return dtype.type(operands[0])
     # rare: whatever XLA makes of it

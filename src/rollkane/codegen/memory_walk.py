@@ -44,7 +44,7 @@ class MemoryWalk(Walk):
     def _operate(
         self, name: str, params: Params, operands: list[Any], dtype: np.dtype
     ) -> Number:
-        if np.issubdtype(dtype, np.floating) and dtype != self.dtype:
+        if dtype.kind == "f" and dtype != self.dtype:
             raise NotElementwiseError(f"numbers of {dtype}")
         text = expression(name, params, operands, dtype)
         return self.writer.let(text, type_of(dtype))

@@ -202,13 +202,14 @@ class Walk:
         dtype: np.dtype,
     ) -> Numbers:
         """One operation on the numbers of arrays."""
-        result = np.empty(shape, object)
+        if not shape:
+            alone = [x[()] for x in inputs]
+            return _alone(self.operation(name, params, alone, dtype))
         # an axis of length one, and an operand without axes, serve all
-        spread = [np.broadcast_to(x, shape) for x in inputs]
-        for index in np.ndindex(result.shape):
-            operands = [x[index] for x in spread]
-            result[index] = self.operation(name, params, operands, dtype)
-        return result
+        spread = [x if x.shape == shape else np.broadcast_to(x, shape) for x in inputs]
+        rows = zip(*(x.reshape(-1) for x in spread), strict=True)
+        found = [self.operation(name, params, list(row), dtype) for row in rows]
+        return as_objects(found, shape)
 
     def operation(
         self, name: str, params: Params, operands: list[Any], dtype: np.dtype

@@ -70,15 +70,17 @@ class Writer:
 
     def let(self, text: str, kind: str, changes: bool = False) -> Number:
         """The value of an expression, computed once, unless memory changes it."""
-        if _NAME.fullmatch(text):
+        if text in self._types:
             return Number(text, kind)
-        for block in [] if changes else self._blocks:
-            if (text, kind) in block.known:
-                return block.known[text, kind]
+        expression = text, kind
+        for block in () if changes else self._blocks:
+            found = block.known.get(expression)
+            if found is not None:
+                return found
         number = self._new("s", kind)
         self.line(f"const {IN_C[kind]} {number.text} = {text};")
         if not changes:
-            self.block.known[text, kind] = number
+            self.block.known[expression] = number
         return number
 
     def variable(self, kind: str, first: Number | None = None) -> Number:

@@ -10,9 +10,11 @@ from typing import cast
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..codegen.traced_once import traced_once
 from .small_linear import components, cross, dot, inverse_sqrt, sign
 
 
+@traced_once
 def rotation_matrix(quaternion: Float[Array, "4 *B"]) -> Float[Array, "3 3 *B"]:
     """Rotation matrix of a quaternion of any non-zero length.
 
@@ -53,6 +55,7 @@ def about_axis(axis: int, angle: Float[Array, ""]) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack(row) for row in rows[axis]])
 
 
+@traced_once
 def multiply(p: Float[Array, "4 *B"], q: Float[Array, "4 *B"]) -> Float[Array, "4 *B"]:
     """Quaternion product ``p q``: first the rotation ``q``, then ``p``."""
     a, b, c, d = components(p)
@@ -67,6 +70,7 @@ def multiply(p: Float[Array, "4 *B"], q: Float[Array, "4 *B"]) -> Float[Array, "
     )
 
 
+@traced_once
 def quaternion_rates(
     quaternion: Float[Array, "4 *B"], angular_velocity: Float[Array, "3 *B"]
 ) -> Float[Array, "4 *B"]:
@@ -126,6 +130,7 @@ def shortest_turn(
     return jnp.concatenate([(1.0 + dot(start, end))[None], cross(start, end)])
 
 
+@traced_once
 def tangent_pair(
     normal: Float[Array, "3 *B"],
 ) -> tuple[Float[Array, "3 *B"], Float[Array, "3 *B"]]:

@@ -13,6 +13,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ..codegen.traced_once import traced_once
+
 # one operation instead of 2 n
 _unstack: Callable[[Array], list[Array]] | None = getattr(lax, "unstack", None)
 # systems beyond it are solved in loops: n^3 / 3 operations take too long to compile
@@ -26,6 +28,7 @@ def components(a: Float[Array, "n *B"]) -> list[Float[Array, "*B"]]:
     return [lax.index_in_dim(a, i, 0, keepdims=False) for i in range(a.shape[0])]
 
 
+@traced_once
 def dot(a: Float[Array, "n *B"], b: Float[Array, "n *B"]) -> Float[Array, "*B"]:
     """Scalar product over the first axis."""
     total, *rest = components(a * b)
@@ -63,6 +66,7 @@ def sign(x: Float[Array, "*B"]) -> Float[Array, "*B"]:
     return jnp.where(x < 0.0, -one, one)
 
 
+@traced_once
 def cross(a: Float[Array, "3 *B"], b: Float[Array, "3 *B"]) -> Float[Array, "3 *B"]:
     """Vector product in right-handed axes."""
     a0, a1, a2 = components(a)
@@ -70,6 +74,7 @@ def cross(a: Float[Array, "3 *B"], b: Float[Array, "3 *B"]) -> Float[Array, "3 *
     return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
+@traced_once
 def matvec(
     matrix: Float[Array, "m n *B"], v: Float[Array, "n *B"]
 ) -> Float[Array, "m *B"]:
@@ -77,6 +82,7 @@ def matvec(
     return jnp.stack([dot(row, v) for row in components(matrix)])
 
 
+@traced_once
 def matvec_transposed(
     matrix: Float[Array, "m n *B"], v: Float[Array, "m *B"]
 ) -> Float[Array, "n *B"]:
@@ -88,6 +94,7 @@ def matvec_transposed(
     return total
 
 
+@traced_once
 def matmul(
     a: Float[Array, "l m *B"], b: Float[Array, "m n *B"]
 ) -> Float[Array, "l n *B"]:
@@ -95,6 +102,7 @@ def matmul(
     return jnp.stack([matvec_transposed(b, row) for row in components(a)])
 
 
+@traced_once
 def solve_2x2(
     matrix: Float[Array, "2 2 *B"], rhs: Float[Array, "2 *B"]
 ) -> Float[Array, "2 *B"]:
@@ -105,6 +113,7 @@ def solve_2x2(
     return jnp.stack([(d * x - b * y) * scale, (a * y - c * x) * scale])
 
 
+@traced_once
 def solve_4x4(
     matrix: Float[Array, "4 4 *B"], rhs: Float[Array, "4 *B"]
 ) -> Float[Array, "4 *B"]:
