@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.codegen import in_one_program, in_one_program_or_not
+from rollkane.codegen import Whole, in_one_program, in_one_program_or_not
 from rollkane.codegen.scalar_program import NotElementwiseError
 from rollkane.geometry.small_linear import components
 
@@ -48,6 +48,44 @@ def wandering(x, turns):
 
     begun = jnp.asarray(0), x, jnp.full((40, 3), jnp.nan)
     return jax.lax.while_loop(lambda c: c[0] < turns, turn, begun)
+
+
+@jax.jit
+def winding(x, turns, sense):
+    """A long program that may be called at many places."""
+    for k in range(12):
+        x = x * jnp.cos(x[k % 3]) + jnp.roll(x, 1) / (2.0 + x[0] * x[0])
+        x = jnp.where(sense, x, -x)
+    return (
+        x,
+        turns + 1,
+        jnp.zeros(2),
+        jax.lax.fori_loop(0, turns, lambda i, a: a / 2, x),
+    )
+
+
+def test_a_program_called_at_many_places_is_one_function():
+    def often(x, turns):
+        first, more, none, half = winding(x, turns, turns > 2)
+        second, more, *_ = jax.lax.cond(
+            first[0] > 0.0,
+            lambda: winding(first, more, jnp.asarray(True)),
+            lambda: winding(half, more, turns < 0),
+        )
+        others = [winding((k + 2) * second, more, turns > 2)[0] for k in range(3)]
+        # of another form: inputs that are known
+        known = winding(jnp.ones(3), turns, jnp.asarray(False))
+        return second, more, none, others, known
+
+    compare(often, X, jnp.asarray(3))
+    written = Whole.of(often, X, jnp.asarray(3))
+    text = "\n".join((*written.parts, *(x for more in written.further for x in more)))
+    functions = text.replace("static void run", "OF_THE_PROGRAM").split(
+        "OF_THE_PROGRAM"
+    )
+    long = [x for x in functions if x.count("\n") > 150]
+    # signs that are known or not: two, for six calls; of known numbers little is left
+    assert len(long) == 2
 
 
 def test_loops_with_branches():

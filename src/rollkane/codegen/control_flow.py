@@ -6,8 +6,7 @@ A branch that is not taken costs nothing, a loop has its body once.
 
 import functools
 import math
-import operator
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -21,8 +20,9 @@ from .indexed_operations import OPERATIONS
 from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Literal, Variable
 from .loop_carry import Carry
 from .memory_walk import SMALL, MemoryWalk, Value, kept
-from .scalar_program import NotElementwiseError, program_of
+from .scalar_program import NotElementwiseError, calls, rows_of
 from .scalars import Number, in_c, type_of
+from .shared_calls import SharedCalls
 from .statement_writer import Block, Target
 
 # numbers of a loop of known length that is written out
@@ -43,11 +43,12 @@ class Structured(MemoryWalk):
         homes: Where larger arrays are left in the end that a loop makes.
     """
 
-    def __init__(self, dtype: DTypeLike):
-        """An empty program of real numbers of this type."""
+    def __init__(self, dtype: DTypeLike, jaxpr: Jaxpr):
+        """An empty program of real numbers of this type, for a traced one."""
         super().__init__(dtype)
         self.homes: dict[Variable, Memory] = {}
         self._loops = 0  # that hold what is being written
+        self._shared = SharedCalls(self, jaxpr)
 
     def through(
         self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Value]
@@ -89,9 +90,11 @@ class Structured(MemoryWalk):
             return self.through(equation.params["jaxpr"], [], inputs)
         if name in ("optimization_barrier", "copy_p"):
             return inputs
-        inner = program_of(equation)
+        inner = self.program_of(equation)
         if inner is not None:
-            return self._run(inner, inputs)
+            write = functools.partial(self._alone, inner)
+            shared = self._shared.called(inner, inputs, write)
+            return self._run(inner, inputs) if shared is None else shared
         own = OPERATIONS.get(name)
         if own is not None:
             return own(self, equation, inputs)
@@ -177,21 +180,16 @@ class Structured(MemoryWalk):
     def _scanned(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         params = equation.params
         body, length = params["jaxpr"], params["length"]
-        axes: Callable[[Iterable[Aval]], list[int]]
-        axes = lambda values: [v.ndim for v in values]
-        outer, turned = axes(v.aval for v in equation.outvars), axes(body.out_avals)
-        behind = sum(map(operator.eq, outer, turned))
-        given = axes(v.aval for v in equation.invars)
-        scanned = sum(map(operator.ne, given, axes(body.in_avals)))
-        first = len(inputs) - behind - scanned
+        parts = rows_of(equation)
+        first, behind = parts.shared, parts.carried
         numbers = length * sum(v.aval.size for e in body.jaxpr.eqns for v in e.outvars)
         small = max([x.size for x in inputs], default=0) <= SMALL
         if numbers <= _WRITTEN_OUT and small:
             return self.repeated(equation, list(map(self.numbers, inputs)))
-        shared, rows = list(map(kept, inputs[:first])), inputs[first + behind :]
+        shared, begun, rows = parts.parted(inputs)
+        shared = list(map(kept, shared))
         kinds = [type_of(v.aval.dtype) for v in equation.invars[first + behind :]]
         stacks = list(map(self.arrays.in_memory, rows, kinds))
-        begun = inputs[first : first + behind]
         carry = Carry(self, body, first, begun, [None] * behind)
         outs = [
             self.arrays.new((length, *v.shape), type_of(v.dtype))
@@ -294,6 +292,13 @@ class Structured(MemoryWalk):
             if isinstance(a, Number) and a.text != in_c(b).text
         ]
 
+    def _alone(self, closed: ClosedJaxpr, values: list[Value]) -> list[Value]:
+        """A program as a function, which may be called in a loop."""
+        loops, self._loops = self._loops, self._loops + 1
+        found = self._run(closed, values)
+        self._loops = loops
+        return list(map(self.numbers, found))
+
     def _run(self, closed: ClosedJaxpr, values: list[Value]) -> list[Value]:
         """A program inside of the program."""
         return self.through(closed.jaxpr, closed.consts, values)
@@ -304,7 +309,7 @@ def _takes_memory(equation: Equation) -> bool:
     name = equation.primitive.name
     if name in _WITH_PROGRAMS or name in OPERATIONS:
         return True
-    return program_of(equation) is not None or _has_large(equation)
+    return calls(equation) or _has_large(equation)
 
 
 def _has_large(equation: Equation) -> bool:

@@ -12,7 +12,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import jax
 import numpy as np
@@ -21,6 +21,7 @@ from jax.extend import core
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
 from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Params, Variable
 from .known_numbers import KNOWN, SHORTCUTS, of_known
+from .linear_call import LINEAR, run_linear
 
 # of one or more numbers gives one number, whatever the shape
 ELEMENTWISE = frozenset(
@@ -56,6 +57,9 @@ _MOST_NUMBERS = 50_000
 # name, parameters, operands and type of the result of an operation
 Operate = Callable[[str, Params, list[Any], np.dtype], Any]
 Axes = Sequence[int]
+
+
+_T = TypeVar("_T")
 
 
 class NotElementwiseError(ValueError):
@@ -119,16 +123,45 @@ def as_array(x: Any) -> Numbers:
     return cast(Numbers, x) if isinstance(x, np.ndarray) else _alone(x)
 
 
-def program_of(equation: Equation) -> ClosedJaxpr | None:
-    """The program that an equation calls, with what it closes over; None: none."""
-    name, params = equation.primitive.name, equation.params
-    if name == "call_hi_primitive":  # from jax 0.11 on, of searchsorted and others
-        written = functools.partial(cast(Any, equation.primitive).to_lojax, **params)
-        shapes = (
-            jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars
-        )
-        return cast(ClosedJaxpr, jax.make_jaxpr(written)(*shapes))
-    return params[_CALLS[name]] if name in _CALLS else None
+def calls(equation: Equation) -> bool:
+    """Whether an equation is a call of a program."""
+    return equation.primitive.name in _CALLS or _written_by(equation) is not None
+
+
+def _written_by(equation: Equation) -> Callable[..., Any] | None:
+    """The function of which an equation is a call, where its program is not there."""
+    if equation.primitive.name == LINEAR:
+        return run_linear
+    if equation.primitive.name == "call_hi_primitive":
+        # from jax 0.11 on, of searchsorted and others
+        return cast(Any, equation.primitive).to_lojax
+    return None
+
+
+class Rows(NamedTuple):
+    """A scan's arguments: what all turns share, what goes on, and rows by turns."""
+
+    shared: int
+    carried: int
+    rows: int
+
+    def parted(self, values: list[_T]) -> tuple[list[_T], list[_T], list[_T]]:
+        """These parts of one value for each."""
+        behind = self.shared + self.carried
+        return values[: self.shared], values[self.shared : behind], values[behind:]
+
+
+def rows_of(equation: Equation) -> Rows:
+    """A scan's arguments, of which each release tells in ways of its own."""
+    body = equation.params["jaxpr"]
+    # rows have an axis more outside of the turns
+    axes: Callable[[Iterable[Aval]], list[int]]
+    axes = lambda values: [v.ndim for v in values]
+    outer, turned = axes(v.aval for v in equation.outvars), axes(body.out_avals)
+    carried = sum(map(operator.eq, outer, turned))
+    given = axes(v.aval for v in equation.invars)
+    rows = sum(map(operator.ne, given, axes(body.in_avals)))
+    return Rows(len(given) - carried - rows, carried, rows)
 
 
 class Walk:
@@ -137,6 +170,23 @@ class Walk:
     def __init__(self, operate: Operate):
         """Of numbers that this operates on."""
         self.operate = operate
+        self._traced: dict[int, tuple[Equation, ClosedJaxpr]] = {}
+
+    def program_of(self, equation: Equation) -> ClosedJaxpr | None:
+        """The program that an equation calls, with what it closes over; None: none."""
+        name, params = equation.primitive.name, equation.params
+        if name in _CALLS:
+            return params[_CALLS[name]]
+        function = _written_by(equation)
+        if function is None:
+            return None
+        if id(equation) not in self._traced:
+            avals = (v.aval for v in equation.invars)
+            like = (jax.ShapeDtypeStruct(x.shape, x.dtype) for x in avals)
+            made: Any = jax.make_jaxpr(functools.partial(function, **params))
+            # kept together: as long as one is there, its number is no other's
+            self._traced[id(equation)] = equation, made(*like)
+        return self._traced[id(equation)][1]
 
     def through(
         self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Numbers]
@@ -157,7 +207,7 @@ class Walk:
     def results(self, equation: Equation, inputs: list[Numbers]) -> list[Numbers]:
         """What one equation gives."""
         name, params = equation.primitive.name, equation.params
-        inner = program_of(equation)
+        inner = self.program_of(equation)
         if inner is not None:
             consts = [numbers_of(x) for x in inner.consts]
             return self.through(inner.jaxpr, consts, inputs)
@@ -303,15 +353,9 @@ class Walk:
         if length * sum(sizes) > _MOST_NUMBERS:
             raise NotElementwiseError("a long scan")
         consts = [numbers_of(x) for x in inner.consts]
-        # how many of each releases tell in ways of their own: rows have an axis more
-        axes: Callable[[Iterable[Aval]], list[int]]
-        axes = lambda values: [v.ndim for v in values]
-        outer, turned = axes(v.aval for v in equation.outvars), axes(inner.out_avals)
-        behind = sum(map(operator.eq, outer, turned))
-        scanned = sum(map(operator.ne, axes(inputs), axes(inner.in_avals)))
-        first = len(inputs) - behind - scanned
-        shared, carry = inputs[:first], inputs[first : first + behind]
-        rows = inputs[first + behind :]
+        parts = rows_of(equation)
+        behind = parts.carried
+        shared, carry, rows = parts.parted(inputs)
         turns = range(length)[:: -1 if params["reverse"] else 1]
         kept: list[list[Numbers]] = []
         for i in turns:

@@ -58,6 +58,7 @@ class Writer:
         self.places: list[int] = []
         self._blocks = [Block()]
         self._types: dict[str, str] = {}
+        self._calls = 0
 
     @property
     def block(self) -> Block:
@@ -116,6 +117,25 @@ class Writer:
             yield block
         finally:
             self._blocks.pop()
+
+    @contextmanager
+    def apart(self) -> Generator[Block, None, None]:
+        """A block of another function: nothing of what is around is known in it."""
+        around, self._blocks = self._blocks, [Block()]
+        try:
+            yield self.block
+        finally:
+            self._blocks = around
+
+    def called(self, i: int, given: str, types: list[str]) -> list[Number]:
+        """What function i leaves, of numbers of these types."""
+        self._calls += 1
+        handed, left = f"g{self._calls}", f"l{self._calls}"
+        self.line(f"const double {handed}[] = {{{given}}};")
+        self.line(f"double {left}[{len(types) + 1}];")
+        self.line(f"part{i}(frame, {handed}, {left});")
+        texts = [f"({IN_C[kind]}){left}[{k}]" for k, kind in enumerate(types)]
+        return [self.let(text, kind) for text, kind in zip(texts, types, strict=True)]
 
     @contextmanager
     def reopened(self, block: Block) -> Generator[None, None, None]:

@@ -162,7 +162,7 @@ def _written(
     jaxpr: Jaxpr, consts: list[np.ndarray | None], dtype: np.dtype
 ) -> tuple[dict[str, int], list[str]]:
     """The program's sizes, and its texts; see :func:`_texts`."""
-    walk = Structured(dtype)
+    walk = Structured(dtype, jaxpr)
     closed, values, count = _given(walk.writer, jaxpr, consts)
     homes = _homes([v.aval for v in jaxpr.outvars])
     pairs = zip(jaxpr.outvars, homes, strict=True)

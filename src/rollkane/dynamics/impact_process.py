@@ -7,8 +7,8 @@ and its work is never positive, whatever the body. Equations: docs/theory.md, (8
 (8.10).
 """
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeAlias, cast
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
 
 import diffrax as dfx
 import jax
@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..codegen.linear_call import Linear, linear_call, shapes_of
 from ..codegen.tableau import weights_of
 from ..geometry.small_linear import dot, matvec, solve_2x2
 
@@ -62,8 +63,8 @@ def collided(
             compression that is given back [1].
         rest_speed: What would rebound slower stays in contact [m/s].
 
-    Derivatives of both modes are columns of one Jacobian, taken forwards: the loop has
-    as many turns as the impact needs.
+    Both modes of differentiation go forwards, as the loop has as many turns as the
+    impact needs: along a tangent, or by one number after the other.
     """
     inputs = jnp.concatenate(
         [velocity, response.reshape(9), jnp.stack([friction, restitution])]
@@ -84,11 +85,29 @@ def _collided_jvp(
     primals: tuple[Float[Array, "14"], Float[Array, ""]],
     tangents: tuple[Float[Array, "14"], Float[Array, ""]],
 ) -> tuple[Float[Array, "6"], Float[Array, "6"]]:
-    inputs, rest_speed = primals
+    found = _collided(*primals)
+    return found, linear_call(_CHANGES, primals, tangents[:1], shapes_of([found]))[0]
+
+
+def _pushed(residuals: Sequence[Array], tangents: Sequence[Array]) -> list[Array]:
+    """Change of an impact along a change of its inputs."""
+    inputs, rest_speed = residuals
     # a way that is straight by symmetry has neighbours that turn
     process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed, _bendable)
-    jacobian = cast(Float[Array, "6 14"], jax.jacfwd(process)(inputs))
-    return _collided(*primals), jacobian @ tangents[0]
+    return [jax.jvp(process, (inputs,), tuple(tangents))[1]]
+
+
+def _pulled(residuals: Sequence[Array], cotangents: Sequence[Array]) -> list[Array]:
+    """Cotangent of an impact's inputs."""
+    size, dtype = residuals[0].size, residuals[0].dtype
+
+    def column(_: None, unit: Array) -> tuple[None, Array]:
+        return None, dot(_pushed(residuals, [unit])[0], cotangents[0])
+
+    return [jax.lax.scan(column, None, jnp.eye(size, dtype=dtype))[1]]
+
+
+_CHANGES = Linear(_pushed, _pulled)
 
 
 def _process_of(
