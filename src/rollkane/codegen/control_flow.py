@@ -15,12 +15,13 @@ from jax.typing import DTypeLike
 
 from .array_memory import Index, Memory
 from .array_operations import in_memory, in_shape
+from .called_programs import calls, rows_of
 from .data_movement import as_objects, numbers_of
 from .indexed_operations import OPERATIONS
 from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Literal, Variable
 from .loop_carry import Carry
 from .memory_walk import SMALL, MemoryWalk, Value, kept
-from .scalar_program import NotElementwiseError, calls, rows_of
+from .scalar_program import NotElementwiseError
 from .scalars import Number, in_c, type_of
 from .shared_calls import SharedCalls
 from .statement_writer import Block, Target
@@ -90,7 +91,7 @@ class Structured(MemoryWalk):
             return self.through(equation.params["jaxpr"], [], inputs)
         if name in ("optimization_barrier", "copy_p"):
             return inputs
-        inner = self.program_of(equation)
+        inner = self.programs.of(equation)
         if inner is not None:
             write = functools.partial(self._alone, inner)
             shared = self._shared.called(inner, inputs, write)

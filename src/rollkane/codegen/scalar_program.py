@@ -8,20 +8,18 @@ or one falls away, and only arithmetic is left: 217 operations on numbers instea
 equations on arrays for a disc on a plane.
 """
 
-import functools
 import math
-import operator
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, cast
 
 import jax
 import numpy as np
 from jax.extend import core
 
+from .called_programs import CalledPrograms, rows_of
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
-from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Params, Variable
+from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable
 from .known_numbers import KNOWN, SHORTCUTS, of_known
-from .linear_call import LINEAR, run_linear
 
 # of one or more numbers gives one number, whatever the shape
 ELEMENTWISE = frozenset(
@@ -33,15 +31,6 @@ ELEMENTWISE = frozenset(
     sin sinh sqrt square stop_gradient sub tan tanh xor
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
-# programs inside a program, by the name of the parameter that holds them
-_CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-}
 REDUCTIONS = {
     "reduce_sum": "add",
     "reduce_prod": "mul",
@@ -57,9 +46,6 @@ _MOST_NUMBERS = 50_000
 # name, parameters, operands and type of the result of an operation
 Operate = Callable[[str, Params, list[Any], np.dtype], Any]
 Axes = Sequence[int]
-
-
-_T = TypeVar("_T")
 
 
 class NotElementwiseError(ValueError):
@@ -123,70 +109,18 @@ def as_array(x: Any) -> Numbers:
     return cast(Numbers, x) if isinstance(x, np.ndarray) else _alone(x)
 
 
-def calls(equation: Equation) -> bool:
-    """Whether an equation is a call of a program."""
-    return equation.primitive.name in _CALLS or _written_by(equation) is not None
-
-
-def _written_by(equation: Equation) -> Callable[..., Any] | None:
-    """The function of which an equation is a call, where its program is not there."""
-    if equation.primitive.name == LINEAR:
-        return run_linear
-    if equation.primitive.name == "call_hi_primitive":
-        # from jax 0.11 on, of searchsorted and others
-        return cast(Any, equation.primitive).to_lojax
-    return None
-
-
-class Rows(NamedTuple):
-    """A scan's arguments: what all turns share, what goes on, and rows by turns."""
-
-    shared: int
-    carried: int
-    rows: int
-
-    def parted(self, values: list[_T]) -> tuple[list[_T], list[_T], list[_T]]:
-        """These parts of one value for each."""
-        behind = self.shared + self.carried
-        return values[: self.shared], values[self.shared : behind], values[behind:]
-
-
-def rows_of(equation: Equation) -> Rows:
-    """A scan's arguments, of which each release tells in ways of its own."""
-    body = equation.params["jaxpr"]
-    # rows have an axis more outside of the turns
-    axes: Callable[[Iterable[Aval]], list[int]]
-    axes = lambda values: [v.ndim for v in values]
-    outer, turned = axes(v.aval for v in equation.outvars), axes(body.out_avals)
-    carried = sum(map(operator.eq, outer, turned))
-    given = axes(v.aval for v in equation.invars)
-    rows = sum(map(operator.ne, given, axes(body.in_avals)))
-    return Rows(len(given) - carried - rows, carried, rows)
-
-
 class Walk:
-    """One way through a traced program."""
+    """One way through a traced program.
+
+    Attributes:
+        operate: What is done to numbers.
+        programs: That its equations call.
+    """
 
     def __init__(self, operate: Operate):
         """Of numbers that this operates on."""
         self.operate = operate
-        self._traced: dict[int, tuple[Equation, ClosedJaxpr]] = {}
-
-    def program_of(self, equation: Equation) -> ClosedJaxpr | None:
-        """The program that an equation calls, with what it closes over; None: none."""
-        name, params = equation.primitive.name, equation.params
-        if name in _CALLS:
-            return params[_CALLS[name]]
-        function = _written_by(equation)
-        if function is None:
-            return None
-        if id(equation) not in self._traced:
-            avals = (v.aval for v in equation.invars)
-            like = (jax.ShapeDtypeStruct(x.shape, x.dtype) for x in avals)
-            made: Any = jax.make_jaxpr(functools.partial(function, **params))
-            # kept together: as long as one is there, its number is no other's
-            self._traced[id(equation)] = equation, made(*like)
-        return self._traced[id(equation)][1]
+        self.programs = CalledPrograms()
 
     def through(
         self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Numbers]
@@ -207,7 +141,7 @@ class Walk:
     def results(self, equation: Equation, inputs: list[Numbers]) -> list[Numbers]:
         """What one equation gives."""
         name, params = equation.primitive.name, equation.params
-        inner = self.program_of(equation)
+        inner = self.programs.of(equation)
         if inner is not None:
             consts = [numbers_of(x) for x in inner.consts]
             return self.through(inner.jaxpr, consts, inputs)

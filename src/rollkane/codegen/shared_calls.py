@@ -55,7 +55,7 @@ class SharedCalls:
         """Equations of a program, those of its parts among them."""
         total = 0
         for equation in jaxpr.eqns:
-            called = self._walk.program_of(equation)
+            called = self._walk.programs.of(equation)
             parts: list[Any] = parts_of(equation.params) if called is None else [called]
             for inner in parts:
                 key = id(inner)

@@ -8,29 +8,23 @@ and its work is never positive, whatever the body. Equations: docs/theory.md, (8
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
-import diffrax as dfx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ..codegen.linear_call import Linear, linear_call, shapes_of
-from ..codegen.tableau import weights_of
-from ..geometry.small_linear import dot, matvec, solve_2x2
+from ..codegen.traced_once import traced_once
+from ..geometry.small_linear import dot, matvec, safe_norm, solve_2x2
+from .impact_slip import Left, Sliding, bendable, slid, slip_of, turning
 
 # What stands for a body that never slips: above 1 / eps, where G_nn + mu G_nt rounds to
 # the latter, in float32, too
 NEVER_SLIPS = 1e16
-# A step of the method of order 8, times the fastest rate of the slip's direction:
-# 0.5^9 / 9! = 5e-9 at most, of which its error constant leaves a hundredth
-_STEP = 0.5
 # Slip times the turn of its direction, over the speed of the impact: what a straight
 # way leaves out from there
 _STRAIGHT = 1e-10
-_CLOSE = 500  # roundings, of an end's equation: its Newton step is below one
-_TURNS = 400  # 23 / 0.5 for slip and turn to fade, as many to turn round, two searches
 
 
 class Impact(NamedTuple):
@@ -77,7 +71,7 @@ def collided(
 def _collided(
     inputs: Float[Array, "14"], rest_speed: Float[Array, ""]
 ) -> Float[Array, "6"]:
-    return _process_of(inputs, rest_speed, _turning)
+    return _process_of(inputs, rest_speed, turning)
 
 
 @_collided.defjvp
@@ -93,7 +87,7 @@ def _pushed(residuals: Sequence[Array], tangents: Sequence[Array]) -> list[Array
     """Change of an impact along a change of its inputs."""
     inputs, rest_speed = residuals
     # a way that is straight by symmetry has neighbours that turn
-    process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed, _bendable)
+    process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed, bendable)
     return [jax.jvp(process, (inputs,), tuple(tangents))[1]]
 
 
@@ -111,155 +105,9 @@ _CHANGES = Linear(_pushed, _pulled)
 
 
 def _process_of(
-    x: Float[Array, "14"], rest_speed: Float[Array, ""], left: "_Left"
+    x: Float[Array, "14"], rest_speed: Float[Array, ""], left: "Left"
 ) -> Float[Array, "6"]:
     return _process(x[:3], x[3:12].reshape(3, 3), x[12], x[13], rest_speed, left)
-
-
-class _Sliding(NamedTuple):
-    """The process while it slips, in a time of its own: ``dp = |u_t| ds``.
-
-    ``y`` is velocity (3), impulse (3) and the work W of its normal part.
-    """
-
-    y: Float[Array, "7"]
-    trial: Array  # next step
-    low: Array  # of a search for the end of a phase: steps on both sides of it
-    high: Array
-    phase: Array  # 0: compression; 1: restitution; 2: ended
-    goal: Array  # of W in restitution
-    closed: Float[Array, "7"]  # where compression ended
-    turns: Array
-
-
-def _rates(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
-) -> Float[Array, "7"]:
-    """``u' = G j', j' = (-mu u_t, |u_t|), W' = |u_t| u_n``: smooth as the slip ends."""
-    slip = _length(y[:2])
-    push = jnp.concatenate([-mu * y[:2], slip[None]])
-    return jnp.concatenate([matvec(G, push), push, (slip * y[2])[None]])
-
-
-def _stepped(
-    G: Float[Array, "3 3"],
-    mu: Float[Array, ""],
-    y: Float[Array, "7"],
-    h: Float[Array, ""],
-) -> tuple[Float[Array, "7"], Float[Array, "7"]]:
-    """One step of an explicit method of order 8, and the rates at its end.
-
-    Written out: in a batch a loop over its stages takes fourteen times as long.
-    """
-    known, at = [_rates(G, mu, y)], y
-    for row in weights_of(dfx.Dopri8(), "an impact").rows:
-        terms = [w * k for w, k in zip(row, known, strict=True) if w]
-        at = y + h * sum(terms[1:], terms[0])
-        known.append(_rates(G, mu, at))
-    return at, known[-1]
-
-
-def _length(v: Float[Array, " n"]) -> Float[Array, ""]:
-    """Of a vector that may be zero, where its derivative is taken as zero."""
-    squared = dot(v, v)
-    where = squared > 0.0
-    return jnp.where(where, jnp.sqrt(jnp.where(where, squared, 1.0)), 0.0)
-
-
-def _turning(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
-) -> Float[Array, ""]:
-    """Slip [m/s], times how fast it turns over the fastest that it could.
-
-    Zero without friction: the velocity is then linear in the normal impulse.
-    """
-    slip, way = _slip_of(y)
-    pull = G[:2, 2] - mu * matvec(G[:2, :2], way)
-    turning = jnp.abs(way[0] * pull[1] - way[1] * pull[0]) / _fastest(G, mu)
-    return jnp.where(mu > 0.0, slip * turning, 0.0)
-
-
-def _bendable(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
-) -> Float[Array, ""]:
-    """Slip [m/s], while changes of the body or of the friction may turn it."""
-    turns = (mu > 0.0) | (_length(G[:2, 2]) > 0.0)
-    return jnp.where(turns, _length(y[:2]), 0.0)
-
-
-# What is left [m/s] of a slip that does not go straight, of response, friction, state.
-_Left: TypeAlias = Callable[[Array, Array, Array], Array]
-
-
-def _slip_of(
-    velocity: Float[Array, " m"],
-) -> tuple[Float[Array, ""], Float[Array, "2"]]:
-    """Slip [m/s] and its direction, zero where it does not slip."""
-    slip = _length(velocity[:2])
-    return slip, velocity[:2] / jnp.where(slip > 0.0, slip, 1.0)
-
-
-def _fastest(G: Float[Array, "3 3"], mu: Float[Array, ""]) -> Float[Array, ""]:
-    """A bound of the rates of the slip's direction and logarithm."""
-    rate = mu * (G[0, 0] + G[1, 1]) + _length(G[:2, 2])
-    return jnp.where(rate > 0.0, rate, 1.0)
-
-
-def _slid(
-    G: Float[Array, "3 3"],
-    mu: Float[Array, ""],
-    e: Float[Array, ""],
-    start: _Sliding,
-    left: _Left,
-    least: Float[Array, ""],
-) -> _Sliding:
-    """Until the impact has ended, or the slip goes straight: to its end, if any."""
-    step = jax.lax.stop_gradient(_STEP / _fastest(G, mu))
-    eps = np.finfo(G.dtype).eps
-
-    def going(c: _Sliding) -> Bool[Array, ""]:
-        turns = left(G, mu, c.y) > least
-        return turns & (c.phase < 2) & (c.turns < _TURNS)
-
-    def turn(c: _Sliding) -> _Sliding:
-        y, rates = _stepped(G, mu, c.y, c.trial)
-        compresses = c.phase == 0
-        end = jnp.where(compresses, y[2], y[6] - c.goal)
-        rate = jnp.where(compresses, rates[2], rates[6])
-        size = jnp.where(compresses, jnp.abs(c.y[2]), jnp.abs(c.goal - c.y[6]))
-        newton = -end / jnp.where(rate == 0.0, 1.0, rate)
-        ends = jnp.abs(end) <= _CLOSE * eps * size
-        beyond = (end > 0.0) & ~ends
-        searching = beyond | (c.high > 0.0)
-        low = jnp.where(searching & ~beyond, c.trial, c.low)
-        high = jnp.where(beyond, c.trial, c.high)
-        # a bracket that has no number left between its sides has found it, too
-        ends |= searching & (high - low <= 4.0 * eps * high)
-        steps = ~searching & ~ends
-        tried = c.trial + newton
-        inside = (tried > low) & (tried < high)
-        tried = jnp.where(inside, tried, 0.5 * (low + high))
-        at_end = y + newton * rates  # value zero: an end's derivative
-        moved = jnp.where(ends, at_end, jnp.where(steps, y, c.y))
-        zero = jnp.zeros_like(c.low)
-        over = steps | ends
-        closes = ends & compresses
-        goal = (1.0 - e * e) * at_end[6]
-        # e = 0 gives nothing back
-        phase = jnp.where(ends, c.phase + 1, c.phase)
-        phase = jnp.where(closes & (e == 0.0), 2, phase)
-        return _Sliding(
-            y=moved,
-            trial=jnp.where(over, step, tried),
-            low=jnp.where(over, zero, low),
-            high=jnp.where(over, zero, high),
-            phase=phase,
-            goal=jnp.where(closes, goal, c.goal),
-            closed=jnp.where(closes, at_end, c.closed),
-            turns=c.turns + 1,
-        )
-
-    return jax.lax.while_loop(going, turn, start._replace(trial=step))
 
 
 def _process(
@@ -268,18 +116,18 @@ def _process(
     mu: Float[Array, ""],
     e: Float[Array, ""],
     rest_speed: Float[Array, ""],
-    left: _Left,
+    left: Left,
 ) -> Float[Array, "6"]:
     """Impulse and velocity behind an impact, in one array."""
     zero, none = jnp.zeros_like(mu), jnp.asarray(0)
     y = jnp.concatenate([velocity, jnp.zeros(4, mu.dtype)])
     comes = velocity[2] < 0.0
-    least = _STRAIGHT * jnp.where(comes, _length(velocity), jnp.inf)
-    begun = _Sliding(y, zero, zero, zero, none, zero, y, none)
-    c = _slid(G, mu, e, begun, left, least)
+    least = _STRAIGHT * jnp.where(comes, safe_norm(velocity), jnp.inf)
+    begun = Sliding(y, zero, zero, zero, none, zero, y, none)
+    c = slid(G, mu, e, begun, left, least)
     lost = comes & (c.phase < 2) & (left(G, mu, c.y) > least)
     now = _Now(c.y[:3], c.y[3:6], c.y[6], c.phase, c.goal, c.closed[:6])
-    slip, way = _slip_of(now.velocity)
+    slip, way = slip_of(now.velocity)
     push = jnp.append(-mu * way, jnp.ones_like(mu))
     change = matvec(G, push)
     slows = -dot(way, change[:2])
@@ -368,6 +216,7 @@ def _root(x: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
 
 
+@traced_once
 def _without_slip(
     G: Float[Array, "3 3"], mu: Float[Array, ""]
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
@@ -398,11 +247,11 @@ def _rate_of_slip(A: Float[Array, "2 2"], b: Float[Array, "2"]) -> Float[Array, 
 
     def improved(f: Float[Array, ""], _: None) -> tuple[Float[Array, ""], None]:
         s = solve_2x2(A + f * eye, b)
-        size = _length(s)
+        size = safe_norm(s)
         slope = dot(s, solve_2x2(A + f * eye, s)) / size**3
         return f + (1.0 - 1.0 / size) / slope, None
 
     trace = A[0, 0] + A[1, 1]
-    least = jnp.maximum(_length(b) - trace, 0.0)  # |s| >= |b| / (trace + f)
+    least = jnp.maximum(safe_norm(b) - trace, 0.0)  # |s| >= |b| / (trace + f)
     f, _ = jax.lax.scan(improved, least, length=20)
     return f

@@ -42,6 +42,14 @@ def norm(a: Float[Array, "n *B"]) -> Float[Array, "*B"]:
     return jnp.sqrt(dot(a, a))
 
 
+@traced_once
+def safe_norm(a: Float[Array, "n *B"]) -> Float[Array, "*B"]:
+    """The same of a vector that may be zero, where its derivative is taken as zero."""
+    squared = dot(a, a)
+    where = squared > 0.0
+    return jnp.where(where, jnp.sqrt(jnp.where(where, squared, 1.0)), 0.0)
+
+
 @jax.custom_jvp
 def inverse_sqrt(x: Float[Array, "*B"]) -> Float[Array, "*B"]:
     """``1 / sqrt(x)``, whose derivative divides by nothing.

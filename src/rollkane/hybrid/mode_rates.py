@@ -16,7 +16,7 @@ from ..dynamics.rolling import (
     at_contact,
     rolling_derivative,
 )
-from ..geometry.small_linear import dot, sign
+from ..geometry.small_linear import dot, safe_norm, sign
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, cubic, stays_positive
 from .modes import HybridState, Mode, Modes, Scenes, of, slipping
@@ -248,7 +248,7 @@ class ModeRates(eqx.Module):
         rates, press, pull, turn, _ = at_contact(scene, t, y.sliding())
         # friction goes with the normal force if that ends at zero, else with its size
         against = -sign(press) * pull if modes.lifts else -pull
-        against = against / not_zero(size_of(against))
+        against = against / not_zero(safe_norm(against))
         way = jnp.where(begins(direction), against, direction)
         on = jnp.where(self.friction_ends_slips, dot(y.slip, way), endless)
         values = jnp.stack([on, press if modes.lifts else endless])
@@ -359,11 +359,3 @@ def picked(where: Bool[Array, ""], new: _T, old: _T) -> _T:
     """One of two trees of arrays."""
     pick: Callable[[Array, Array], Array] = lambda a, b: jnp.where(where, a, b)
     return jax.tree.map(pick, new, old)
-
-
-def size_of(vector: Float[Array, "3"]) -> Float[Array, ""]:
-    """Length of a vector that may be zero, where its derivative is taken as zero."""
-    squared = dot(vector, vector)
-    return jnp.where(
-        squared > 0.0, jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0)), 0.0
-    )

@@ -18,8 +18,15 @@ from ..dynamics.rolling import (
     at_contact,
     contact_of,
 )
-from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, sign
-from .mode_rates import ModeRates, not_zero, picked, size_of
+from ..geometry.small_linear import (
+    cross,
+    dot,
+    matvec,
+    matvec_transposed,
+    safe_norm,
+    sign,
+)
+from .mode_rates import ModeRates, not_zero, picked
 from .modes import HybridState, Mode, of, slipping
 
 FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
@@ -53,7 +60,7 @@ class Motion(ModeRates):
 
     def begun(self, mode: Int[Array, ""], t: Float[Array, ""], y: HybridState) -> Begun:
         """Mode, direction and state at the start: what is without slip may grip."""
-        speed = size_of(y.slip)
+        speed = safe_norm(y.slip)
         settled, way, gripped = self.settled(t, y)
         rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(speed > 0.0))
         grips = rests & (settled == Mode.ROLLING)
@@ -86,7 +93,7 @@ class Motion(ModeRates):
             flying = of(hit.flying)
         if self.modes.lifts:
             flying = picked(flies, flying, self._lifted(t, y))
-        speed = size_of(touching.slip)
+        speed = safe_norm(touching.slip)
         slips = speed > 0.0
         stays, way, gripped = self.settled(t, touching)
         way = jnp.where(slips, touching.slip / not_zero(speed), way)
@@ -194,4 +201,4 @@ class Motion(ModeRates):
             held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
         # against the friction that would be needed, of the length that says it begins
-        return mode, -0.5 * pull / not_zero(size_of(pull)), y
+        return mode, -0.5 * pull / not_zero(safe_norm(pull)), y
