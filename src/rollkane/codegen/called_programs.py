@@ -12,8 +12,10 @@ from .linear_call import LINEAR, run_linear
 
 _T = TypeVar("_T")
 
+DERIVED = "rollkane_derived"  # a derivative (derivatives.py)
 # programs inside a program, by the name of the parameter that holds them
 _CALLS = {
+    DERIVED: "program",
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",

@@ -44,37 +44,88 @@ class Aval(Shaped, Protocol):
 class Variable(Protocol):
     """A name in a program, or a number that is written there."""
 
-    aval: Aval
+    @property
+    def aval(self) -> Aval:
+        """What is known of it."""
+        ...
 
 
 class Literal(Variable, Protocol):
     """A number that is written in a program."""
 
-    val: Any
+    @property
+    def val(self) -> Any:
+        """It."""
+        ...
 
 
 class Equation(Protocol):
     """One operation of a program."""
 
-    primitive: Primitive
-    params: Params
-    invars: Sequence[Variable]
-    outvars: Sequence[Variable]
+    @property
+    def primitive(self) -> Primitive:
+        """Which."""
+        ...
+
+    @property
+    def params(self) -> Params:
+        """How."""
+        ...
+
+    @property
+    def invars(self) -> Sequence[Variable]:
+        """Of what."""
+        ...
+
+    @property
+    def outvars(self) -> Sequence[Variable]:
+        """Its results."""
+        ...
 
 
 class Jaxpr(Protocol):
     """A program; the values of ``constvars`` are what it closes over."""
 
-    constvars: Sequence[Variable]
-    invars: Sequence[Variable]
-    outvars: Sequence[Variable]
-    eqns: Sequence[Equation]
+    @property
+    def constvars(self) -> Sequence[Variable]:
+        """Names of what it closes over."""
+        ...
+
+    @property
+    def invars(self) -> Sequence[Variable]:
+        """Its arguments."""
+        ...
+
+    @property
+    def outvars(self) -> Sequence[Variable]:
+        """Its results."""
+        ...
+
+    @property
+    def eqns(self) -> Sequence[Equation]:
+        """Its operations, in order."""
+        ...
 
 
 class ClosedJaxpr(Protocol):
     """A program with the arrays that it closes over."""
 
-    jaxpr: Jaxpr
-    consts: list[Any]
-    in_avals: Sequence[Aval]
-    out_avals: Sequence[Aval]
+    @property
+    def jaxpr(self) -> Jaxpr:
+        """The program."""
+        ...
+
+    @property
+    def consts(self) -> list[Any]:
+        """The arrays."""
+        ...
+
+    @property
+    def in_avals(self) -> Sequence[Aval]:
+        """Of its arguments."""
+        ...
+
+    @property
+    def out_avals(self) -> Sequence[Aval]:
+        """Of its results."""
+        ...

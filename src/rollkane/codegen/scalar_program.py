@@ -20,6 +20,7 @@ from .called_programs import CalledPrograms, rows_of
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
 from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable
 from .known_numbers import KNOWN, SHORTCUTS, of_known
+from .tracing import becoming_c
 
 # of one or more numbers gives one number, whatever the shape
 ELEMENTWISE = frozenset(
@@ -70,7 +71,8 @@ class Program:
             function: Of trees of arrays, to a tree of arrays.
             arguments: Trees of arrays, or of their shapes and types.
         """
-        self._closed = cast(ClosedJaxpr, jax.make_jaxpr(function)(*arguments))
+        with becoming_c():
+            self._closed = cast(ClosedJaxpr, jax.make_jaxpr(function)(*arguments))
         self.outputs = [
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]

@@ -22,6 +22,7 @@ from .memory_walk import SMALL, Value
 from .scalar_program import NotElementwiseError
 from .scalars import in_c, type_of
 from .statement_writer import Writer, part
+from .tracing import becoming_c
 
 # Lines that are worth a compiler of their own, and beyond which it takes less care: a
 # bowling ball's 8,000 take 1.6 s at most care (-O3), 1.2 s at some and 0.9 s at least,
@@ -104,7 +105,8 @@ class Whole(NamedTuple):
         def whole(arrays: Any) -> Any:
             return function(*eqx.combine(arrays, fixed))
 
-        closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
+        with becoming_c():
+            closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
         traced = [x for x in closed.consts if is_traced(x)]
         consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
         given = (x.dtype for x in [*traced, *jax.tree.leaves(arrays)])

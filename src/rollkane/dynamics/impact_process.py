@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..codegen.linear_call import Linear, linear_call, shapes_of
-from ..codegen.traced_once import traced_once
+from ..codegen.tracing import traced_once
 from ..geometry.small_linear import dot, matvec, safe_norm, solve_2x2
 from .impact_slip import Left, Sliding, bendable, slid, slip_of, turning
 

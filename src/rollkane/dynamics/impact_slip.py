@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codegen.tableau import weights_of
-from ..codegen.traced_once import traced_once
+from ..codegen.tracing import traced_once
 from ..geometry.small_linear import matvec, safe_norm
 
 # A step of the method of order 8, times the fastest rate of the slip's direction:

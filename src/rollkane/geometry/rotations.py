@@ -10,7 +10,7 @@ from typing import cast
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..codegen.traced_once import traced_once
+from ..codegen.tracing import traced_once
 from .small_linear import components, cross, dot, inverse_sqrt, sign
 
 

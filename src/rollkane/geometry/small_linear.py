@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..codegen.traced_once import traced_once
+from ..codegen.tracing import traced_once
 
 # one operation instead of 2 n
 _unstack: Callable[[Array], list[Array]] | None = getattr(lax, "unstack", None)
