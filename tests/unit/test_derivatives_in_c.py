@@ -100,8 +100,12 @@ FUNCTIONS = {
         jnp.maximum(x, x[::-1]) + jnp.minimum(x, 0.2) + jnp.maximum(x[0], x)
     ),
     "clipped": lambda x: jnp.clip(x, -0.4, 0.4) + jnp.sign(x) * x + jnp.floor(x),
-    "chosen": lambda x: jnp.where(x > 0.0, x * x, 3.0 * x) + jnp.where(x[0] > 0, x, 1.0),
-    "sums": lambda x: (jnp.sum(x), jnp.sum(jnp.outer(x, x), axis=1), jnp.max(x), jnp.prod(x)),
+    "chosen": lambda x: (
+        jnp.where(x > 0.0, x * x, 3.0 * x) + jnp.where(x[0] > 0, x, 1.0)
+    ),
+    "sums": lambda x: (
+        jnp.sum(x), jnp.sum(jnp.outer(x, x), axis=1), jnp.max(x), jnp.prod(x)
+    ),
     "products": lambda x: (x @ x, M @ x, jnp.outer(x, x) @ M, jnp.tensordot(x, M, 1)),
     "places": lambda x: (
         jnp.stack([x, x * x], axis=1), x[::-1], x[1:], jnp.roll(x, 1),

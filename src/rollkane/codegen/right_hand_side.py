@@ -12,6 +12,7 @@ from jaxtyping import Array
 from ..validation.checks import is_traced
 from ..validation.remembered import holds_no_numpy, remembered
 from .data_movement import Numbers, as_objects, numbers_of
+from .derivatives import jvp, pulled
 from .event_layout import Layout
 from .jaxpr_types import Shaped
 from .scalar_program import NotElementwiseError, Program
@@ -288,7 +289,7 @@ def tangents_source(
         def along(y: Array, *varied: Array) -> Array:
             return rates(t, y, *varied)
 
-        return jax.jvp(along, (y, *varied), (y_dot, *varied_dot))
+        return jvp(along, (y, *varied), (y_dot, *varied_dot))
 
     time, like = jax.ShapeDtypeStruct((), state.dtype), list(map(_shape_of, varied))
     program = Program(changes, time, state, like, state, like)
@@ -328,18 +329,18 @@ def cotangents_source(
     """
     count, row = len(varied), own is not None
 
-    def pulled(t: Array, y: Array, leaves: list[Array], cotangent: Array) -> Any:
+    def back_through(t: Array, y: Array, leaves: list[Array], bar: Array) -> Any:
         def along(y: Array, *varied: Array) -> Array:
             return rates(t, y, *varied, *leaves[count:])
 
-        return cast(Any, jax.vjp(along, y, *leaves[:count])[1])(cotangent)
+        return pulled(along, (y, *leaves[:count]), bar)
 
     time = jax.ShapeDtypeStruct((), state.dtype)
     like = list(map(_shape_of, (*varied, *known)))
     listed: Callable[[Array, Array, list[Array]], Array]
     listed = lambda t, y, leaves: rates(t, y, *leaves)
     there = Program(listed, time, state, like)
-    back = Program(pulled, time, state, like, state)
+    back = Program(back_through, time, state, like, state)
     kind, more = "real", ""
     if own is None:
         given, _ = _given(state, like)

@@ -21,6 +21,7 @@ from ..codegen import (
     in_one_program_or_not,
     with_known_zeros,
 )
+from ..codegen.derivatives import jvp
 from ..codegen.tableau import Weights, tableau_of, weights_of
 from ..dynamics.clearance import reach_of
 from ..dynamics.consistency import consistent
@@ -261,7 +262,7 @@ class _Runs(NamedTuple):
             outputs: Callable[[Any], list[Array]] = lambda varied: _floats(
                 self.repeated(inputs_of(varied), record)
             )
-            return jax.jvp(outputs, (varied,), (tangents,))[1]
+            return jvp(outputs, (varied,), (tangents,))[1]
 
         one: Callable[[Any], list[Array]] = lambda tangents: in_one_program_or_not(
             pushed, varied, record, tangents

@@ -12,7 +12,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..codegen.derivatives import pulled
 from ..codegen.tableau import stage_sum
+from ..codegen.tracing import becomes_c
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
 from .mode_rates import Seen, plain_cond
@@ -92,7 +94,7 @@ def pulled_back(
     at_first: _Of = lambda x: x[0]
     first = jax.tree.map(at_first, (saved.parts, saved.direction))
     cotangent = cotangent[0], *jax.tree.map(jnp.add, cotangent[1:], first)
-    (own,) = cast(tuple[Any], jax.vjp(start, varied)[1](cotangent))
+    (own,) = pulled(start, (varied,), cotangent)
     return jax.tree.map(jnp.add, of_varied, own)
 
 
@@ -129,21 +131,21 @@ def _through_step(
         motion, _, times = make(varied)
         at = place._replace(direction=direction)
         known = row, turn, landed(times, row), end, last
-        both = behind(motion, at, *known, cond=_cond)
+        both = behind(motion, at, *known, cond=plain_cond if becomes_c() else _cond)
         return [[p.t, p.y, p.direction] for p in both]
 
-    pull = cast(Callable[..., Any], jax.vjp(after, varied, direction, end, last)[1])
-    own, of_direction, of_end, of_last = pull(list(cotangent))
+    moving = varied, direction, end, last
+    own, of_direction, of_end, of_last = pulled(after, moving, list(cotangent))
     stages = _Stages(make, varied, place, ends, known)
     of_varied, of_place, of_ends = stages.pulled(of_end, of_last)
     when: _Of = lambda varied: landed(make(varied)[2], row)
-    pull = cast(Callable[..., Any], jax.vjp(when, varied)[1])
-    total = jax.tree.map(lambda *x: sum(x), own, of_varied, *pull(of_ends))
+    of_when = pulled(when, (varied,), of_ends)
+    total = jax.tree.map(lambda *x: sum(x), own, of_varied, *of_when)
     of_t, of_y, more = of_place
     return total, (of_t, unpack(of_y, y), of_direction + more)
 
 
-# plain_cond, each branch of which is transposed by itself
+# plain_cond, each branch of which is transposed by itself: by XLA
 _cond = eqx.filter_custom_vjp(plain_cond)
 
 
@@ -259,7 +261,7 @@ class _Stages(NamedTuple):
                 return pack(rates), seen
 
             def back(cotangent: Any, *where: Any) -> Any:
-                return cast(Any, jax.vjp(seen, *where)[1](cotangent))
+                return pulled(seen, where, cotangent)
 
             return back
 

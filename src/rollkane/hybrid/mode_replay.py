@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from ..codegen.derivatives import jvp
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
 from .mode_rates import Cond, Seen, Step, plain_cond
@@ -196,7 +197,7 @@ def turning(
         step = motion.stepped(mode, direction, at.t, t, at.y)
         return step.values, step.y
 
-    of_values, rates = jax.jvp(ended, (t,), (jnp.ones_like(t),))[1]
+    of_values, rates = jvp(ended, (t,), (jnp.ones_like(t),))[1]
     slope = of_values[kind]
     inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
     grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - at.t)
