@@ -13,13 +13,14 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..codegen.compile_effort import for_one_call
-from ..geometry.local_geometry import LocalGeometry, from_normal
+from ..geometry.local_geometry import from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractPointSurface, AbstractSurface, PointOfNormal
 from ..kinematics.base_motion import AbstractBaseMotion
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import SlidingState, State, shared_parts
+from ..kinematics.surface_fit import opening_of
 from ..validation.checks import FieldError, is_traced, real, spoilt
 from .abstract_supported import rolling_parts
 from .clearance import clearance, may_touch_twice
@@ -229,9 +230,17 @@ def _massless(scene: Scene, time: Array, state: State) -> Array:
     matrix = jax.lax.stop_gradient(matrix)
     scale = jnp.sqrt(cast(Array, jnp.diagonal(matrix)))
     matrix = matrix / (scale[:, None] * scale[None, :])
-    # a Cholesky factor loses half the digits of the least eigenvalue
-    least = cast(Array, jnp.linalg.eigvalsh(matrix)[0])
-    return ~(least > 100 * np.finfo(matrix.dtype).eps)
+    # the least eigenvalue is above what is taken off all of them where what is left is
+    # positive: so say its pivots, to a rounding of each row
+    index, whole = jnp.arange(count), jnp.eye(count, dtype=matrix.dtype)
+    left = matrix - 100 * np.finfo(matrix.dtype).eps * whole
+
+    def eliminate(left: Array, j: Array) -> tuple[Array, Array]:
+        pivot = left[j, j]
+        share = jnp.where(index > j, left[:, j] / pivot, 0.0)
+        return left - share[:, None] * left[j][None], pivot
+
+    return ~jnp.all(jax.lax.scan(eliminate, left, index)[1] > 0.0)
 
 
 class _Fit(eqx.Module):
@@ -309,7 +318,7 @@ def _fit(
         [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
     )
     still = jax.lax.stop_gradient((shell, ground, mixing))
-    opening, curving = _opening(*still)
+    opening, curving = opening_of(*still)
     of_body = jnp.ones(2, normal.dtype)
     if on_body.shape[0]:
         of_body = body.units(on_body)
@@ -341,35 +350,3 @@ def _fit(
         fits=~(jnp.abs(curving) > 100 * rounding),  # a determinant of unit columns
         cuts=~(opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
     )
-
-
-def _opening(
-    shell: LocalGeometry, ground: LocalGeometry, mixing: Float[Array, "2 2"]
-) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """How two touching surfaces part: least opening, and relative curvature.
-
-    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]``, (3.5), lengths in radii of
-    the sharper surface, are scaled to unit length, so that edges and planes, large and
-    small bodies count alike; the determinant vanishes exactly where the surfaces fit.
-    The opening of a motion with equal travels ``L_b x_b = T L_c x_c`` is
-    ``(L_b x_b) . (K_b x_b + T K_c x_c)``.
-    """
-    K_b, L_b = -shell.frame_rates, shell.lengths
-    K_c, L_c = -mixing @ ground.frame_rates, mixing @ ground.lengths
-    radius = jnp.minimum(*(_size(L) / _size(K) for L, K in ((L_b, K_b), (L_c, K_c))))
-    radius = jnp.where(jnp.isfinite(radius), radius, 1.0)  # two planes: they fit
-    turns = jnp.concatenate([K_b, K_c], axis=1)
-    travels = jnp.concatenate([-L_b, L_c], axis=1) / radius
-    system = jnp.concatenate([turns, travels])
-    unit = cast(Array, 1.0 / jnp.linalg.norm(system, axis=0, keepdims=True))
-    system, turns, travels = system * unit, turns * unit, travels * unit
-    free = jnp.linalg.svd(travels)[2][2:].T
-    opening = (-travels[:, :2] @ free[:2]).T @ (turns @ free)
-    largest = jnp.max(jnp.abs(opening))
-    least = cast(Array, jnp.linalg.eigvalsh(0.5 * (opening + opening.T))[0])
-    opening = least / jnp.where(largest > 0, largest, 1.0)
-    return opening, cast(Array, jnp.linalg.det(system))
-
-
-def _size(matrix: Array) -> Array:
-    return jnp.sqrt(jnp.sum(matrix * matrix))

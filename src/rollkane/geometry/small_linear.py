@@ -127,24 +127,30 @@ def solve_4x4(
 ) -> Float[Array, "4 *B"]:
     """Solve a general 4x4 system by minors: divided is by the determinant alone."""
     columns = [components(c) for c in components(jnp.swapaxes(matrix, 0, 1))]
-    columns.append(components(rhs))
+    right = components(rhs)
+    scale = 1.0 / _determinant(columns)
+    others = ([*columns[:m], right, *columns[m + 1 :]] for m in range(4))
+    return jnp.stack([_determinant(x) * scale for x in others])
+
+
+@traced_once
+def determinant_4x4(matrix: Float[Array, "4 4 *B"]) -> Float[Array, "*B"]:
+    """Determinant, by minors."""
+    return _determinant([components(row) for row in components(matrix)])
+
+
+def _determinant(columns: list[list[Array]]) -> Array:
+    """Of four columns, by Laplace's expansion along the first two."""
     places = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     signs = [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]
 
-    def minors(first: int, second: int) -> list[Array]:
+    def minors(a: list[Array], b: list[Array]) -> list[Array]:
         """Of two columns, by pairs of rows in order."""
-        a, b = columns[first], columns[second]
         return [a[i] * b[j] - a[j] * b[i] for i, j in places]
 
-    def determinant(a: int, b: int, c: int, d: int) -> Array:
-        """Of four columns, by Laplace's expansion along the first two."""
-        others = reversed(minors(c, d))
-        terms = [s * x * y for s, x, y in zip(signs, minors(a, b), others, strict=True)]
-        return sum(terms[1:], terms[0])
-
-    scale = 1.0 / determinant(0, 1, 2, 3)
-    solved = [determinant(*(4 if k == m else k for k in range(4))) for m in range(4)]
-    return jnp.stack([x * scale for x in solved])
+    first, second = minors(*columns[:2]), reversed(minors(*columns[2:]))
+    terms = [s * x * y for s, x, y in zip(signs, first, second, strict=True)]
+    return sum(terms[1:], terms[0])
 
 
 # Of a right-hand side; None is zero, for which nothing is done.

@@ -8,7 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.local_geometry import LocalGeometry
-from ..geometry.small_linear import matmul
+from ..geometry.small_linear import (
+    components,
+    determinant_4x4,
+    dot,
+    matmul,
+    norm,
+)
 from ..validation.checks import FieldError, is_traced
 
 # of a determinant whose rows and columns are of order one: a thousand roundings; two
@@ -35,26 +41,11 @@ def fit_of(
     rows = [row / _least(jnp.sqrt(jnp.sum(row * row))) for row in rows]
     whole = jnp.concatenate(rows)
     whole = whole / _least(jnp.sqrt(jnp.sum(whole * whole, axis=0)))[None]
-    return jnp.abs(_determinant(whole))
+    return jnp.abs(determinant_4x4(whole))
 
 
 def _least(size: Array) -> Array:
     return jnp.where(size > 0.0, size, 1.0)
-
-
-def _determinant(a: Float[Array, "4 4"]) -> Float[Array, ""]:
-    """By Laplace's expansion along the first two rows."""
-    places = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
-    signs = [1.0, -1.0, 1.0, 1.0, -1.0, 1.0]
-
-    def minors(first: Array, second: Array) -> list[Array]:
-        return [first[i] * second[j] - first[j] * second[i] for i, j in places]
-
-    above, below = minors(a[0], a[1]), reversed(minors(a[2], a[3]))
-    total = jnp.zeros((), a.dtype)
-    for s, x, y in zip(signs, above, below, strict=True):
-        total = total + s * x * y
-    return total
 
 
 def refuse_fit(field: str, fit: Float[Array, ""], value: Any) -> Float[Array, ""]:
@@ -81,3 +72,57 @@ def refuse_fit(field: str, fit: Float[Array, ""], value: Any) -> Float[Array, ""
             "or a torus of the same radius",
         )
     return fit
+
+
+def opening_of(
+    shell: LocalGeometry, ground: LocalGeometry, mixing: Float[Array, "2 2"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """How two touching surfaces part: least opening, and relative curvature.
+
+    The columns of ``[[K_b, T K_c], [-L_b, T L_c]]``, (3.5), lengths in radii of
+    the sharper surface, are scaled to unit length, so that edges and planes, large and
+    small bodies count alike; the determinant vanishes exactly where the surfaces fit.
+    The opening of a motion with equal travels ``L_b x_b = T L_c x_c`` is
+    ``(L_b x_b) . (K_b x_b + T K_c x_c)``.
+    """
+    K_b, L_b = -shell.frame_rates, shell.lengths
+    K_c, L_c = -mixing @ ground.frame_rates, mixing @ ground.lengths
+    radius = jnp.minimum(*(_size(L) / _size(K) for L, K in ((L_b, K_b), (L_c, K_c))))
+    radius = jnp.where(jnp.isfinite(radius), radius, 1.0)  # two planes: they fit
+    turns = jnp.concatenate([K_b, K_c], axis=1)
+    travels = jnp.concatenate([-L_b, L_c], axis=1) / radius
+    unit = 1.0 / norm(jnp.concatenate([turns, travels]))[None]
+    turns, travels = turns * unit, travels * unit
+    free = _orthogonal_to(travels)
+    opening = (-travels[:, :2] @ free[:2]).T @ (turns @ free)
+    largest = jnp.max(jnp.abs(opening))
+    (a, b), (c, d) = map(components, components(opening))
+    apart = jnp.sqrt((0.5 * (a - d)) ** 2 + (0.5 * (b + c)) ** 2)
+    least = 0.5 * (a + d) - apart  # of both eigenvalues of its symmetric part
+    opening = least / jnp.where(largest > 0, largest, 1.0)
+    return opening, determinant_4x4(jnp.concatenate([turns, travels]))
+
+
+def _orthogonal_to(rows: Float[Array, "2 4"]) -> Float[Array, "4 2"]:
+    """Two unit vectors across two others and one another, whatever these are.
+
+    By Householder's reflections, which take both into the plane of the first two axes:
+    the last two of the orthogonal matrix.
+    """
+    across: list[Array] = []
+    for k in range(2):
+        x = jnp.where(jnp.arange(4) >= k, rows[k], 0.0)
+        length = jnp.where(x[k] < 0.0, -norm(x), norm(x))
+        v = x.at[k].add(length)
+        squared = dot(v, v)
+        v = v * jnp.sqrt(2.0 / jnp.where(squared > 0.0, squared, 1.0))
+        rows = rows - (rows @ v)[:, None] * v[None]
+        across.append(v)
+    last = jnp.eye(4, dtype=rows.dtype)[:, 2:]
+    for v in reversed(across):
+        last = last - v[:, None] * (v @ last)[None]
+    return last
+
+
+def _size(matrix: Array) -> Array:
+    return jnp.sqrt(jnp.sum(matrix * matrix))
