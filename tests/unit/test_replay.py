@@ -19,6 +19,7 @@ from rollkane.codegen import (
 )
 from rollkane.codegen.tableau import weights_of
 from rollkane.integration import replay
+from rollkane.integration.differentiate import differentiable
 from rollkane.integration.recorded_steps import Steps
 from rollkane.integration.replay import Run
 
@@ -205,3 +206,17 @@ def test_every_operation_has_its_derivatives(dtype):
     for a, b in zip(*map(jax.tree.leaves, both), strict=True):
         assert a.dtype == dtype
         np.testing.assert_allclose(a, b, **close)
+
+
+def test_a_truth_of_one_trace_is_not_kept_for_the_next():
+    """JAX keeps a jitted function's derivative, with all that it closes over."""
+
+    def solve(inputs, replay, adjoint):
+        x, squares = inputs
+        end = jnp.where(squares, x * x, x)
+        return end, None if replay is None and adjoint is None else jnp.zeros(1)
+
+    run = jax.jit(lambda x, squares: differentiable(solve, (x, squares), checkpoints=4))
+    for squares, slope in ((True, 6.0), (False, 1.0)):
+        fresh = jax.jit(lambda x, squares: jax.grad(run)(x, squares))
+        assert fresh(jnp.asarray(3.0), jnp.asarray(squares)) == slope

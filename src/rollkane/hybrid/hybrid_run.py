@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..codegen import (
     in_one_program,
@@ -25,11 +25,12 @@ from ..codegen.derivatives import jvp
 from ..codegen.tableau import Weights, tableau_of, weights_of
 from ..dynamics.clearance import reach_of
 from ..dynamics.consistency import consistent
+from ..dynamics.rolling_problem import error_sizes
 from ..integration.differentiate import differentiable
 from ..integration.event_search import Happened, layout_of
 from ..integration.integrate import in_order
 from ..integration.step_control import Stops, landings
-from ..kinematics.coordinates import State
+from ..kinematics.coordinates import State, pack
 from ..validation.checks import FieldError, cleared
 from ..validation.codes import NO_FAULT, Code, first_fault
 from .mode_adjoint import Cotangents, Make, pulled_back
@@ -42,10 +43,32 @@ from .step_trial import Allowed, Run
 from .transitions import Motion
 from .user_events import Kept, at_their_zeros, with_places
 
-# Scene, start, output times [s], tolerances, NaN if the start is spoilt, and events.
-_Inputs: TypeAlias = tuple[HybridScene, HybridState, Array, Array, Array, Array, Any]
 # Times at which a scene's rates have a corner [s], and whether they may jump there.
 _Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, bool]]
+
+
+class _Inputs(NamedTuple):
+    """All that a run depends on.
+
+    Attributes:
+        scene: With the modes of its contact.
+        start: As it is given.
+        asked: Output times [s]; of no derivative.
+        times: Those as the run stops on them [s].
+        rtol: Relative tolerance [1].
+        atol: Absolute tolerance.
+        by_size: Whether that is of the numbers' sizes.
+        events: Of no derivative.
+    """
+
+    scene: HybridScene
+    start: State
+    asked: Float[Array, " T"]
+    times: Float[Array, " T"]
+    rtol: Float[Array, ""]
+    atol: Float[Array, ""]
+    by_size: Bool[Array, ""]
+    events: Any
 
 
 def integrate_modes(
@@ -53,8 +76,9 @@ def integrate_modes(
     start: State,
     times: Float[Array, " T"],
     stops: Stops,
-    rtol: Array,
-    atol: Array,
+    rtol: Float[Array, ""],
+    atol: Float[Array, ""],
+    by_size: Bool[Array, ""],
     solver: dfx.AbstractSolver[Any],
     max_steps: int,
     corners: _Corners,
@@ -71,6 +95,7 @@ def integrate_modes(
         stops: Where the run stops on them.
         rtol: Relative tolerance of a step [1].
         atol: Absolute tolerance of a step [unit of the state].
+        by_size: Whether that is in units of the state's sizes.
         solver: diffrax solver, an explicit Runge-Kutta method.
         max_steps: Most tried steps.
         corners: ``corners(scene)`` -> times at which the rates have a corner [s], or
@@ -84,17 +109,9 @@ def integrate_modes(
     mode = Mode.SLIPPING if start.slips else Mode.ROLLING
     mode = mode if start.touches else Mode.FLYING
     runs = _Runs(mode, solver, max_steps, corners, allowed, zeros)
-    increasing = in_order(times) & ~(times[0] > times[-1])
-    fault, code_of_fault = first_fault(scene, of(start), increasing)
-    good = fault == NO_FAULT
-    rolling = scene.in_modes.rolling
-    start = of(consistent(rolling, jax.lax.stop_gradient(times[0]), start))
-    # NaN would keep the step controller going for ever; zero stops it at the start
-    clear: Callable[[Array], Array] = lambda x: cleared(x, good)
-    start = jax.tree.map(clear, start)
-    spoilt = jnp.where(good, 0.0, jnp.nan).astype(times.dtype)
     fixed = jax.lax.stop_gradient(events)
-    inputs = scene, start, stops.time, rtol, atol, spoilt, fixed
+    asked = jax.lax.stop_gradient(times)
+    inputs = _Inputs(scene, start, asked, stops.time, rtol, atol, by_size, fixed)
     unknown: Callable[[HybridOutcome], HybridOutcome] = lambda s: s.unknown
     found: HybridOutcome = differentiable(
         runs.solve,
@@ -105,13 +122,12 @@ def integrate_modes(
         unknown=unknown,
     )
     if events:
-        found = _with_events(found, runs, scene, times, events, good)
+        found = _with_events(found, runs, scene, times, events)
     state = found.state
     if stops.last is not None:
         shown: Callable[[Array], Array] = lambda x: x[stops.last]
         state = jax.tree.map(shown, state)
-    code = jnp.where(good, found.code, code_of_fault)
-    return dataclasses.replace(found, state=state, code=code, fault=fault)
+    return dataclasses.replace(found, state=state)
 
 
 def _with_events(
@@ -120,13 +136,13 @@ def _with_events(
     scene: HybridScene,
     times: Float[Array, " T"],
     events: Any,
-    good: Array,
 ) -> HybridOutcome:
     """With events by themselves, as they move, and the end that one made."""
     kept = run.kept
     assert kept is not None
     row = kept.row
     used = ~jnp.isnan(kept.time)
+    good = run.fault == NO_FAULT
 
     def shown(x: Array) -> Array:
         blank = jnp.asarray(-1 if x.dtype.kind == "i" else jnp.nan, x.dtype)
@@ -177,12 +193,34 @@ class _Runs(NamedTuple):
         """Whether runs and their derivatives are programs in C."""
         return self.zeros is not None
 
+    def start(self, inputs: _Inputs) -> HybridState:
+        """What a run begins with: a state that obeys its contact.
+
+        NaN would keep the step controller going for ever: of anything spoilt it is
+        zero, and the run stops there.
+        """
+        t, start = jax.lax.stop_gradient(inputs.times[0]), inputs.start
+        start = of(consistent(inputs.scene.in_modes.rolling, t, start))
+        good = self.fault(inputs)[0] == NO_FAULT
+        clear: Callable[[Array], Array] = lambda x: cleared(x, good)
+        return jax.tree.map(clear, start)
+
+    def fault(self, inputs: _Inputs) -> tuple[Array, Array]:
+        """Number of the field that cannot be used, and the code of a run with it."""
+        asked = inputs.asked
+        increasing = in_order(asked) & ~(asked[0] > asked[-1])
+        return first_fault(inputs.scene, of(inputs.start), increasing)
+
+    def times(self, inputs: _Inputs) -> Float[Array, " T"]:
+        """Of outputs, and of the places for events behind them."""
+        if not inputs.events:
+            return inputs.times
+        return with_places(inputs.times, layout_of(inputs.events).capacity)
+
     def made(self, inputs: _Inputs) -> tuple[Motion, HybridState, Float[Array, " T"]]:
-        """Motion, state and times, those of places for events behind them."""
-        scene, y, times, *_, events = inputs
-        if events:
-            times = with_places(times, layout_of(events).capacity)
-        return self.motion(scene, times.dtype), y, times
+        """Motion, state and times."""
+        times = self.times(inputs)
+        return self.motion(inputs.scene, times.dtype), self.start(inputs), times
 
     @property
     def weights(self) -> Weights:
@@ -198,21 +236,23 @@ class _Runs(NamedTuple):
 
     def loop(self, inputs: _Inputs) -> tuple[Loop, Array, HybridState]:
         """The loop of steps of a run, its first mode and its start."""
-        motion, y, _ = self.made(inputs)
-        scene, _, times, rtol, atol, _, events = inputs
+        scene, start, _, times, rtol, atol, by_size, events = inputs
+        motion = self.motion(scene, times.dtype)
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *self.corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
+        sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
+        atol = atol * jnp.where(by_size, sizes, 1.0)
         assert order is not None
         how = rtol, atol, order, self.allowed, events
-        loop = Loop(motion, times, where, reach, *how)
-        return loop, jnp.asarray(self.mode), y
+        loop = Loop(motion, self.times(inputs), where, reach, *how)
+        return loop, jnp.asarray(self.mode), self.start(inputs)
 
     def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
         """What came out of a run."""
-        motion, *_ = self.made(inputs)
-        _, _, times, _, _, spoilt, _ = inputs
-        return ended(motion, c, times.shape[0], self.allowed, spoilt)
+        motion = self.motion(inputs.scene, inputs.times.dtype)
+        fault = self.fault(inputs)
+        return ended(motion, c, inputs.times.shape[0], self.allowed, *fault)
 
     def stepped(
         self, inputs: _Inputs, recording: bool
@@ -227,11 +267,10 @@ class _Runs(NamedTuple):
         motion, y, times = self.made(inputs)
         path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
         found = outcome_of(path, t, last, None, None, None)
-        events = inputs[-1]
-        if not events:
+        if not inputs.events:
             return found
         # where steps ended on events does not move along them
-        fixed = jnp.zeros(layout_of(events).capacity, times.dtype)
+        fixed = jnp.zeros(layout_of(inputs.events).capacity, times.dtype)
         none = jnp.zeros(0, int)
         return dataclasses.replace(found, kept=Kept(fixed, none, none, none))
 

@@ -48,13 +48,16 @@ def ended(
     c: Run,
     outputs: int,
     allowed: Allowed | None,
-    spoilt: Float[Array, ""],
+    fault: Int[Array, ""],
+    code_of_fault: Int[Array, ""],
 ) -> HybridOutcome:
     """What came out of the loop, and why it ended."""
     code = jnp.where((c.code == 0) & (c.path.reached < outputs), Code.MAX_STEPS, c.code)
     stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
     code = jnp.where(stuck, Code.BAD_START, code)
     code = _explained(motion, allowed, code, c.place)
+    good = fault == NO_FAULT
+    code = jnp.where(good, code, code_of_fault)
     t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
     found = outcome_of(c.path, t, last, code, c.accepted, rejected)
     states: Callable[[HybridOutcome], Any] = lambda s: (
@@ -63,11 +66,11 @@ def ended(
         s.final_state,
     )
     spoil: Callable[[Array], Array] = lambda x: (
-        x + spoilt if eqx.is_inexact_array(x) else x
+        jnp.where(good, x, jnp.nan) if eqx.is_inexact_array(x) else x
     )
     found = eqx.tree_at(states, found, jax.tree.map(spoil, states(found)))
     left = None if c.watched is None else c.watched.left
-    return dataclasses.replace(found, kept=left)
+    return dataclasses.replace(found, fault=fault, kept=left)
 
 
 def _explained(

@@ -67,8 +67,9 @@ def differentiable(
         The outputs. Derivatives of integer outputs are zero, and those of outputs
         that are NaN (not reached), or unknown, are NaN.
     """
-    moving, fixed = cast(_Two, eqx.partition(inputs, eqx.is_inexact_array))
-    leaves, tree = cast(_Flat, jax.tree.flatten(moving))
+    # whole numbers, too: what JAX keeps of a derivative must close over none of a trace
+    arrays, fixed = cast(_Two, eqx.partition(inputs, eqx.is_array))
+    leaves, tree = cast(_Flat, jax.tree.flatten(arrays))
 
     def inputs_of(leaves: Sequence[Array]) -> Any:
         return eqx.combine(jax.tree.unflatten(tree, leaves), fixed)

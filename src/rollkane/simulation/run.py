@@ -5,7 +5,6 @@ from typing import Any, cast
 
 import diffrax as dfx
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -25,7 +24,7 @@ from ..dynamics.rolling_problem import (
 )
 from ..dynamics.scene import Scene
 from ..hybrid.hybrid_run import integrate_modes
-from ..hybrid.modes import HybridScene, Modes, of
+from ..hybrid.modes import HybridScene, Modes
 from ..hybrid.outcome import HybridOutcome
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.diffrax_checks import check_kinds
@@ -42,7 +41,7 @@ from ..integration.integrate import (
 from ..integration.plans import UNRECORDED_STEPS
 from ..integration.projection import KeepingEnergy, check_keeps_energy
 from ..integration.step_control import Stops, stops_of
-from ..kinematics.coordinates import State, pack
+from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState, VoronetsState
 from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
@@ -323,12 +322,10 @@ def _through_changes(
     looks: bool,
     events: tuple[Event, ...],
 ) -> HybridOutcome:
-    sizes = jax.lax.stop_gradient(pack(error_sizes(of(start))))
-    atol = atol * jnp.where(by_size, sizes, 1.0)
-    allowed = is_apart if looks else None
     return integrate_modes(
-        *(scene, start, times, stops, rtol, atol, solver, max_steps, corners),
-        allowed=allowed,
+        *(scene, start, times, stops, rtol, atol, by_size),
+        *(solver, max_steps, corners),
+        allowed=is_apart if looks else None,
         zeros=zeros,
         events=events,
     )
