@@ -18,7 +18,15 @@ from .array_operations import in_memory, in_shape
 from .called_programs import calls, rows_of
 from .data_movement import as_objects, numbers_of
 from .indexed_operations import OPERATIONS
-from .jaxpr_types import Aval, ClosedJaxpr, Equation, Jaxpr, Literal, Variable
+from .jaxpr_types import (
+    Aval,
+    ClosedJaxpr,
+    Equation,
+    Jaxpr,
+    Literal,
+    Variable,
+    numbers_in,
+)
 from .loop_carry import Carry
 from .memory_walk import SMALL, MemoryWalk, Value, kept
 from .scalar_program import NotElementwiseError
@@ -183,7 +191,7 @@ class Structured(MemoryWalk):
         body, length = params["jaxpr"], params["length"]
         parts = rows_of(equation)
         first, behind = parts.shared, parts.carried
-        numbers = length * sum(v.aval.size for e in body.jaxpr.eqns for v in e.outvars)
+        numbers = length * numbers_in(body.jaxpr)
         small = max([x.size for x in inputs], default=0) <= SMALL
         if numbers <= _WRITTEN_OUT and small:
             return self.repeated(equation, list(map(self.numbers, inputs)))

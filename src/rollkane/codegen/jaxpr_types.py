@@ -5,7 +5,7 @@ it has a shape. Programs of arrays, the only ones that become C, have these.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from jax.extend.core import Primitive
@@ -129,3 +129,24 @@ class ClosedJaxpr(Protocol):
     def out_avals(self) -> Sequence[Aval]:
         """Of its results."""
         ...
+
+
+def parts_of(params: Params) -> list[Any]:
+    """The programs among an equation's parameters."""
+    several = (tuple, list)
+    values: list[Any] = []
+    for value in params.values():
+        values += cast(Any, value) if isinstance(value, several) else [value]
+    return [x for x in values if hasattr(x, "eqns") or hasattr(x, "jaxpr")]
+
+
+def numbers_in(jaxpr: Jaxpr) -> int:
+    """How many numbers the equations of a program give, those of its parts too."""
+    total = 0
+    for equation in jaxpr.eqns:
+        parts = parts_of(equation.params)
+        if parts:
+            total += sum(numbers_in(getattr(x, "jaxpr", x)) for x in parts)
+        else:
+            total += sum(v.aval.size for v in equation.outvars)
+    return total

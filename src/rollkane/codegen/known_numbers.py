@@ -40,6 +40,8 @@ _IN_NUMPY: dict[str, Callable[..., Any]] = {
 
 def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) -> Any:
     """The number that an operation on known numbers gives."""
+    if name in ("div", "rem") and dtype.kind in "iu" and int(operands[1]) > 0:
+        return dtype.type(_whole_quotient(*map(int, operands))[name == "rem"])
     known = _IN_NUMPY.get(name)
     if known is not None and (name != "div" or dtype.kind == "f"):
         return dtype.type(known(*operands))
@@ -50,6 +52,12 @@ def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) ->
     with jax.ensure_compile_time_eval():
         given = [jax.numpy.asarray(x) for x in operands]
         return dtype.type(primitive.bind(*given, **params))
+
+
+def _whole_quotient(a: int, b: int) -> tuple[int, int]:
+    """Rounded towards zero, and what is left of the number."""
+    quotient = abs(a) // b if a >= 0 else -(abs(a) // b)
+    return quotient, a - quotient * b
 
 
 def _is(x: Any, value: float) -> bool:

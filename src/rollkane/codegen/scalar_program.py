@@ -18,7 +18,7 @@ from jax.extend import core
 
 from .called_programs import CalledPrograms, rows_of
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
-from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable
+from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable, numbers_in
 from .known_numbers import KNOWN, SHORTCUTS, of_known
 from .tracing import becoming_c
 
@@ -285,8 +285,7 @@ class Walk:
         """A loop of known length, turn by turn."""
         params = equation.params
         inner, length = params["jaxpr"], params["length"]
-        sizes = (v.aval.size for e in inner.jaxpr.eqns for v in e.outvars)
-        if length * sum(sizes) > _MOST_NUMBERS:
+        if length * numbers_in(inner.jaxpr) > _MOST_NUMBERS:
             raise NotElementwiseError("a long scan")
         consts = [numbers_of(x) for x in inner.consts]
         parts = rows_of(equation)

@@ -7,13 +7,13 @@ that of one call.
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .array_memory import Memory
 from .data_movement import Numbers, as_objects
-from .jaxpr_types import ClosedJaxpr, Jaxpr, Params
+from .jaxpr_types import ClosedJaxpr, Jaxpr, parts_of
 from .known_numbers import KNOWN
 from .memory_walk import MemoryWalk, Value
 from .scalars import IN_C, Number
@@ -135,15 +135,6 @@ class SharedCalls:
             numbers = [left[n] if isinstance(n, int) else n for n in x.reshape(-1)]
             results.append(as_objects(numbers, x.shape))
         return results
-
-
-def parts_of(params: Params) -> list[Any]:
-    """The programs among an equation's parameters."""
-    several = (tuple, list)
-    values: list[Any] = []
-    for value in params.values():
-        values += cast(Any, value) if isinstance(value, several) else [value]
-    return [x for x in values if hasattr(x, "eqns") or hasattr(x, "jaxpr")]
 
 
 def _form_of(x: Any) -> Any:

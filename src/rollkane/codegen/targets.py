@@ -38,7 +38,12 @@ def check_usable() -> None:
 
 @functools.cache
 def prepare_calls() -> None:
-    """Begin to compile them beside what goes on, which then need not wait; once."""
+    """Begin to compile them beside what goes on, which then need not wait; once.
+
+    On a machine whose numbers are elsewhere than on its CPU nothing is compiled.
+    """
+    if jax.default_backend() != "cpu":
+        return
 
     def made() -> None:
         with contextlib.suppress(NoCompilerError, OSError):  # said where it is needed
@@ -65,7 +70,7 @@ class _Late:
 
     def __init__(self):
         source = callable_program(installed(), np.float64, 1, {}, LATE)
-        self._library = Program.of(source).loaded()
+        self._library = Program.of(source, effort="-O1").loaded()
         self._library.entry_of.restype = ctypes.c_void_p
         self._left = iter(range(_SLOTS))
 

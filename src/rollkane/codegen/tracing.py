@@ -1,10 +1,12 @@
 """How functions are traced: once for many places, and for which target."""
 
+import functools
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
+import equinox as eqx
 import jax
 
 _F = TypeVar("_F", bound=Callable[..., Any])
@@ -18,6 +20,21 @@ def traced_once(function: _F) -> _F:
     transpose a tenth. Where programs are compiled it is what it would be in line.
     """
     return cast(_F, jax.jit(function))
+
+
+def shared_in_c(function: _F) -> _F:
+    """A long part of many programs, of which one in C has one function.
+
+    Args:
+        function: Of trees; what of them is no array is hashable.
+    """
+    shared = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        return (shared if becomes_c() else function)(*arguments, **named)
+
+    return cast(_F, call)
 
 
 class _Target(threading.local):

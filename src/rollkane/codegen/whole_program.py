@@ -24,10 +24,10 @@ from .scalars import in_c, type_of
 from .statement_writer import Writer, part
 from .tracing import becoming_c
 
-# Lines that are worth a compiler of their own, and beyond which it takes less care: a
-# bowling ball's 8,000 take 1.6 s at most care (-O3), 1.2 s at some and 0.9 s at least,
-# and run in 2.0, 2.1 and 2.8 ms; 94,000 of a flight over a bowl 46, 21 and 14 s.
-_WORTH_A_COMPILER, _LONG = 2_000, 30_000
+# Lines that are worth a compiler of their own, and beyond which it takes less care: at
+# -O1 instead of -O2 14,000 lines take 1.1 instead of 1.6 s on two cores; a plate's
+# 10,000, or a gradient's, run a tenth to a quarter longer.
+_WORTH_A_COMPILER, _LONG = 2_000, 10_000
 
 
 def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:

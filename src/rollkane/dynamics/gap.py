@@ -9,10 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..codegen import prepare_calls
 from ..codegen.compile_effort import for_one_call
-from ..geometry.local_geometry import LocalGeometry
+from ..codegen.tracing import shared_in_c
+from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import (
+    components,
     cross,
     dot,
     matmul,
@@ -36,12 +39,12 @@ _CLOSE = 64
 
 # Coordinates of the nearest points on base and body.
 _Places: TypeAlias = tuple[Array, Array]
-# Steps taken, the points, and what was left before the last step [m].
-_Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""]]
+# Steps taken, the points, and what was left before the last step and the gap there [m].
+_Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""], Float[Array, ""]]
 
 
 def nearest(
-    scene: Scene, t: Float[Array, ""], state: FlyingState
+    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: int = _NEWTON
 ) -> tuple[Float[Array, ""], FlyingState]:
     """Gap between the surfaces [m], and the state with their nearest points.
 
@@ -49,34 +52,37 @@ def nearest(
         scene: What flies over what.
         t: Time [s].
         state: Its contact coordinates are where the search begins.
+        steps: Of the search, at most.
 
     The gap is the distance along the base's normal, less than zero in the base; NaN
     where the search did not converge. Where there are several nearest points, the ones
     next to the start are followed.
     """
-    places, converged = _searched(*jax.lax.stop_gradient((scene, t, state)))
+    places, found = _searched(*jax.lax.stop_gradient((scene, t, state)), steps)
     gap, state = _nearest_from(scene, t, state, places)
-    return jnp.where(converged, gap, jnp.nan), state
+    return jnp.where(jnp.isnan(found), jnp.nan, gap), state
 
 
 def _searched(
-    scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[_Places, Bool[Array, ""]]:
-    """The nearest points, and whether the search converged."""
+    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: int = _NEWTON
+) -> tuple[_Places, Float[Array, ""]]:
+    """The nearest points, and their gap, NaN if the search did not converge."""
     size = 1.0 + norm(state.position)
     close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
 
     def going(carry: _Search) -> Bool[Array, ""]:
-        count, _, left = carry
-        return (count < _NEWTON) & (left > close)
+        count, _, left, _ = carry
+        return (count < steps) & (left > close)
 
     def improve(carry: _Search) -> _Search:
-        count, places, _ = carry
+        count, places, _, _ = carry
         return count + 1, *_improved(scene, t, eqx.tree_at(_places, state, places))
 
-    carry = jnp.asarray(0), _places(state), jnp.full_like(close, jnp.inf)
-    _, found, left = jax.lax.while_loop(going, improve, carry)
-    return found, left <= (1e-9 if close.dtype == jnp.float64 else 1e-4) * size
+    far = jnp.full_like(close, jnp.inf)
+    carry = jnp.asarray(0), _places(state), far, far
+    _, found, left, gap = jax.lax.while_loop(going, improve, carry)
+    converged = left <= (1e-9 if close.dtype == jnp.float64 else 1e-4) * size
+    return found, jnp.where(converged, gap, jnp.nan)
 
 
 def _nearest_from(
@@ -84,13 +90,14 @@ def _nearest_from(
 ) -> tuple[Float[Array, ""], FlyingState]:
     """:func:`nearest` from points that are it, to which it gives their derivative.
 
-    One step more of the search has it, by the implicit function.
+    One step more of the search has it, by the implicit function; the gap is stationary
+    there, and does not move with the points.
     """
-    found, _ = _improved(scene, t, eqx.tree_at(_places, state, places))
-    state = eqx.tree_at(_places, state, found)
-    return _apart(scene, t, state)[1], state
+    found, _, gap = _improved(scene, t, eqx.tree_at(_places, state, places))
+    return gap, eqx.tree_at(_places, state, found)
 
 
+@shared_in_c
 def nearest_anywhere(
     scene: Scene, t: Float[Array, ""], state: FlyingState
 ) -> tuple[Float[Array, ""], FlyingState]:
@@ -112,12 +119,11 @@ def nearest_anywhere(
             on_body = body.locate(on_body_axes(*fixed, place))
         return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
 
-    def near(place: Float[Array, "3"]) -> tuple[Array, _Places]:
-        gap, closest = nearest(*fixed[:2], begun(place))
-        return gap, _places(closest)
+    def near(place: Float[Array, "3"]) -> tuple[_Places, Array]:
+        return _searched(*fixed[:2], begun(place))
 
     # one after the other: a program of one is compiled in a fraction of the time
-    found, closest = cast("tuple[Array, _Places]", jax.lax.map(near, starts))
+    closest, found = cast("tuple[_Places, Array]", jax.lax.map(near, starts))
     # far from an uneven base Newton's method may go astray: there the samples will do
     size = reach_of(body, gaps.dtype)
     strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
@@ -147,7 +153,7 @@ def closing(
         the angular velocity relative to it [rad/s].
     """
     moving, place, to_base = flying_pose(scene, t, state)
-    ground, point = _points(scene, state, to_base)
+    ground = scene.base.surface.geometry(state.contact_on_base)
     w, v = state.angular_velocity, state.velocity
     if moving is not None:
         v = moving.to_base(v)
@@ -156,6 +162,7 @@ def closing(
     spin = matvec(to_base, w)
     if moving is not None and moving.angular_velocity is not None:
         spin = spin - moving.angular_velocity
+    point = _body_point(scene, state, ground, to_base)
     moved = v + cross(spin, matvec(to_base, point))
     return dot(ground.frame[:, 2], moved), norm(v), norm(spin)
 
@@ -189,6 +196,7 @@ def release(
     Raises:
         FieldError: numbers of another shape, a body that is in its base already.
     """
+    prepare_calls()  # a run follows
     numbers = {
         "orientation": (orientation, 4),
         "angular_velocity": (angular_velocity, 3),
@@ -201,85 +209,110 @@ def release(
         real(f"release.{name}", value, (size,), "numbers in SI units")
         for name, (value, size) in numbers.items()
     )
-    t = jnp.asarray(time, r.dtype)
-    gap, state = _found(scene, t, e, w, r, v, a, a_dot, near_on_base)
+    t = real("release.time", time, (), "seconds", r.dtype)
+    gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
     place = refuse(
-        state.position,
+        r,
         ~(gap >= 0.0),
         "release.position",
         "is in the base, or the search for the nearest point of it failed",
         "let the body go above the base, or give near_on_base",
     )
-    return eqx.tree_at(lambda s: s.position, state, place)
+    spin = matvec_transposed(rotation_matrix(e), w)
+    return FlyingState(e, spin, on_base, on_body, a, a_dot, place, v)
 
 
-@for_one_call
-def _found(
+@for_one_call  # known then, too, where only masses or speeds are traced
+def _places_below(
     scene: Scene,
     t: Float[Array, ""],
     e: Float[Array, "4"],
-    w: Float[Array, "3"],
     r: Float[Array, "3"],
-    v: Float[Array, "3"],
-    a: Float[Array, " n"],
-    a_dot: Float[Array, " n"],
     near: Vector | None,
-) -> tuple[Float[Array, ""], FlyingState]:
+) -> tuple[Float[Array, ""], Array, Array]:
+    """Gap of a body at rest there [m], and the coordinates of the nearest points."""
     base, body, motion = scene.base.surface, scene.body.surface, scene.base.motion
     moving = None if motion is None else motion.at(t)
-    R = rotation_matrix(e)
     if near is None:
         near = r if moving is None else moving.on_base(r)
     on_base = base.locate(jnp.asarray(near, r.dtype))
-    on_body = jnp.zeros(0, r.dtype)
+    none = jnp.zeros(0, r.dtype)
+    on_body = none
     if scene.has_contact_coordinates:
-        down = -matvec_transposed(R, base.geometry(on_base).frame[:, 2])
-        on_body = body.locate(down)
-    spin = matvec_transposed(R, w)
-    state = FlyingState(e, spin, on_base, on_body, a, a_dot, r, v)
-    from_far: Callable[[FlyingState, None], tuple[FlyingState, None]] = (
-        lambda state, _: (nearest(scene, t, state)[1], None)
-    )
-    state, _ = jax.lax.scan(from_far, state, length=4)
-    return nearest_anywhere(scene, t, state)
+        axis = base.geometry(on_base).frame[:, 2]
+        on_body = body.locate(-matvec_transposed(rotation_matrix(e), axis))
+    still = jnp.zeros_like(r)
+    state = FlyingState(e, still, on_base, on_body, none, none, r, still)
+    if may_touch_twice(scene):
+        gap, state = nearest_anywhere(scene, t, state)
+    else:  # it may be far
+        gap, state = nearest(scene, t, state, steps=4 * _NEWTON)
+    return gap, *_places(state)
 
 
 def _improved(
     scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[_Places, Array]:
-    """Points after a Newton step, and the largest of what was left before it."""
+) -> tuple[_Places, Float[Array, ""], Float[Array, ""]]:
+    """Points after a Newton step; the largest of what was left before it, and the gap.
+
+    Nearest are points whose join is across both tangents of the base, to which the
+    body's normal is, too.
+    """
     base, body = scene.base.surface, scene.body.surface
+    _, origin, to_base = flying_pose(scene, t, state)
     ground = base.geometry(state.contact_on_base)
-    shell = None
+    shell = _body_geometry(scene, state, ground, to_base)
+    tangents = components(ground.frame.T[:2])
+    join = origin + matvec(to_base, shell.position) - ground.position
+    gap = dot(ground.normal, join)
+    left = [dot(tangent, join) for tangent in tangents]
+    normal = None
     if scene.has_contact_coordinates:
-        shell = body.geometry(state.contact_on_body)
+        normal = matvec(to_base, shell.normal)
+        left += [dot(tangent, normal) for tangent in tangents]
 
     def moved(x: Float[Array, " m"]) -> _Places:
         on_base, on_body = _places(state)
-        on_base = on_base + base.coordinate_rates(on_base, ground, x[:2])
-        if shell is not None:
-            on_body = on_body + body.coordinate_rates(on_body, shell, x[2:])
+        on_base = on_base + base.coordinate_rates(on_base, still[0], x[:2])
+        if normal is not None:
+            on_body = on_body + body.coordinate_rates(on_body, still[1], x[2:])
         return base.settled(on_base), body.settled(on_body)
 
-    def apart(x: Float[Array, " m"]) -> tuple[Array, Array]:
-        left, _ = _apart(scene, t, eqx.tree_at(_places, state, moved(x)))
-        return left, left
-
-    rest = jnp.zeros(2 if shell is None else 4, state.position.dtype)
-    slope, left = cast("tuple[Array, Array]", jax.jacfwd(apart, has_aux=True)(rest))
-    solve = solve_2x2 if shell is None else _solve_by_points
-    return moved(-solve(slope, left)), jnp.max(jnp.abs(left))
+    # at the nearest points nothing is left that a change of the slope could move
+    still = jax.lax.stop_gradient((ground, shell, to_base, gap, normal))
+    move = -_solved(*still, jnp.stack(left))
+    return moved(move), jnp.max(jnp.abs(jnp.stack(left))), gap
 
 
-def _solve_by_points(
-    slope: Float[Array, "4 4"], left: Float[Array, "4"]
-) -> Float[Array, "4"]:
-    """Moves of both points; the base's, whose block is near its metric, eliminated."""
-    own = solve_2x2(slope[:2, :2], left[:2])
-    by_body = solve_2x2(slope[:2, :2], slope[:2, 2:])
-    rest = slope[2:, 2:] - matmul(slope[2:, :2], by_body)
-    body = solve_2x2(rest, left[2:] - matvec(slope[2:, :2], own))
-    return jnp.concatenate([own - matvec(by_body, body), body])
+def _solved(
+    ground: LocalGeometry,
+    shell: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+    gap: Float[Array, ""],
+    normal: Float[Array, "3"] | None,
+    left: Float[Array, " m"],
+) -> Float[Array, " m"]:
+    """What is left, by its slope in the coordinates of both points.
+
+    Tangents turn by ``d t_i = e3 W dx``, points move by ``t_i L dx``, (2.3). How the
+    tangents turn about the normal does not matter where the points are nearest.
+    """
+    W, L = ground.frame_rates, ground.lengths
+    by_base = gap * W - L
+    if normal is None:  # the body's point moves with its normal, on the same tangents
+        return solve_2x2(by_base + matmul(shell.lengths, W), left)
+    mixing = matmul(ground.frame.T[:2], matmul(to_base, shell.frame[:, :2]))
+    aligned = dot(normal, ground.normal) * W
+    by_body, by_turning = (
+        matmul(mixing, shell.lengths),
+        -matmul(mixing, shell.frame_rates),
+    )
+    # the base's point, whose block is near its metric, eliminated
+    own = solve_2x2(by_base, left[:2])
+    of_body = solve_2x2(by_base, by_body)
+    rest = by_turning - matmul(aligned, of_body)
+    body = solve_2x2(rest, left[2:] - matvec(aligned, own))
+    return jnp.concatenate([own - matvec(of_body, body), body])
 
 
 def on_body_axes(
@@ -290,34 +323,37 @@ def on_body_axes(
     return matvec_transposed(to_base, point - place)
 
 
-def _points(
-    scene: Scene, state: FlyingState, to_base: Float[Array, "3 3"]
-) -> tuple[LocalGeometry, Float[Array, "3"]]:
-    """The base at its nearest point, and the body's nearest point [m], body axes."""
-    base, body = scene.base.surface, scene.body.surface
-    ground = base.geometry(state.contact_on_base)
+def _body_point(
+    scene: Scene,
+    state: FlyingState,
+    ground: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+) -> Float[Array, "3"]:
+    """The body's nearest point [m], body axes."""
+    body = scene.body.surface
     if scene.has_contact_coordinates:
-        return ground, body.point(state.contact_on_body)
-    of_normal = body.normal_map(base.is_flat)
+        return body.point(state.contact_on_body)
+    of_normal = body.normal_map(scene.base.surface.is_flat)
     assert of_normal is not None
-    return ground, of_normal(-matvec_transposed(to_base, ground.frame[:, 2]))
+    return of_normal(-matvec_transposed(to_base, ground.normal))
 
 
-def _apart(
-    scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[Float[Array, " m"], Float[Array, ""]]:
-    """How far the points are from being nearest, and their distance [m]."""
-    _, place, to_base = flying_pose(scene, t, state)
-    ground, point = _points(scene, state, to_base)
-    first, second, out = ground.frame[:, 0], ground.frame[:, 1], ground.frame[:, 2]
-    aligned = []
+def _body_geometry(
+    scene: Scene,
+    state: FlyingState,
+    ground: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+) -> LocalGeometry:
+    """The body there; on the base's tangents, where the point is that of a normal."""
+    body = scene.body.surface
     if scene.has_contact_coordinates:
-        shell = scene.body.surface.geometry(state.contact_on_body)
-        normal = matvec(to_base, shell.frame[:, 2])
-        aligned = [dot(normal, first), dot(normal, second)]
-    across = place + matvec(to_base, point) - ground.position
-    left = [dot(first, across), dot(second, across), *aligned]
-    return jnp.stack(left), dot(out, across)
+        return body.geometry(state.contact_on_body)
+    of_normal = body.normal_map(scene.base.surface.is_flat)
+    assert of_normal is not None
+    first, second, out = (
+        matvec_transposed(to_base, axis) for axis in components(ground.frame.T)
+    )
+    return from_normal(of_normal, -out, (first, second))
 
 
 def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingState:

@@ -1,17 +1,16 @@
 """Put a body onto its base: find the contact, or say why there is none."""
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import eval_context
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
+from ..codegen import prepare_calls
 from ..codegen.compile_effort import for_one_call
 from ..geometry.local_geometry import from_normal
 from ..geometry.rotations import rotation_matrix
@@ -102,6 +101,7 @@ def place(
     Source: docs/theory.md, (1.4), ``n_body = -R^T n_base``.
     """
     refuse_no_scene(scene)
+    prepare_calls()  # a run follows
     dtype = scene.body.mass.dtype
     meanings = {
         "orientation": (orientation, 4, "a unit quaternion"),
@@ -120,7 +120,9 @@ def place(
     asked: dict[str, Any] = {
         name: None
         if value is None and name in optional
-        else _number(dtype, name, value, count, meaning)
+        else real(
+            f"place.{name}", value, (count,), f"{count} numbers: {meaning}", dtype
+        )
         for name, (value, count, meaning) in meanings.items()
     }
     asked["supported"] = _inner_states(scene, supported)
@@ -276,15 +278,6 @@ def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
         f"must be a State for each RollingBody of the scene, {len(bodies)}",
         "place each by its own method first: scene.supported[0].place(...)",
     )
-
-
-def _number(
-    dtype: np.dtype[Any], name: str, value: Any, count: int, meaning: str
-) -> Array:
-    # what is known stays so inside of jit, where it is evaluated once
-    with nullcontext() if is_traced(value) else eval_context():
-        array = real(f"place.{name}", value, (count,), f"{count} numbers: {meaning}")
-        return array if array.dtype == dtype else array.astype(dtype)
 
 
 _WHERE = "orientation", "contact_on_base", "base_normal", "near_on_body"

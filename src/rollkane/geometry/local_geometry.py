@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..codegen.tracing import shared_in_c
 from .rotations import tangent_pair
 from .small_linear import components, cross, dot, matvec_transposed, norm, solve_2x2
 
@@ -119,6 +120,7 @@ class LocalGeometry(eqx.Module):
         )
 
 
+@shared_in_c
 def from_chart(
     position: Callable[[Float[Array, "2"]], Float[Array, "3"]],
     q: Float[Array, "2"],
@@ -173,6 +175,7 @@ def from_chart(
     )
 
 
+@shared_in_c
 def from_height(
     height: Callable[[Float[Array, "2"]], Float[Array, ""]],
     q: Float[Array, "2"],
@@ -251,6 +254,7 @@ def from_normal(
     )
 
 
+@shared_in_c
 def from_level_set(
     level: Callable[[Float[Array, "3"]], Float[Array, ""]], point: Float[Array, "3"]
 ) -> LocalGeometry:

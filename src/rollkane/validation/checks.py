@@ -13,7 +13,7 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.core import Tracer, eval_context
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -68,14 +68,23 @@ def is_traced(*values: Any) -> bool:
     return False
 
 
-def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) -> Array:
+def real(
+    field: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    meaning: str,
+    dtype: np.dtype[Any] | None = None,
+) -> Array:
     """Convert to an array of floats of the given shape, or say why it cannot be.
+
+    What is known stays so inside of ``jit``: what follows from it is evaluated once.
 
     Args:
         field: Name used in the error.
         value: Number, nested sequence or array; floating arrays keep their dtype.
         shape: Wanted shape; None stands for any length of that axis.
         meaning: What the field is, with its unit, for the remedy.
+        dtype: Of the array; None: of the value.
     """
     remedy = f"give {meaning}"
     if isinstance(value, (str, bytes, bool)) or value is None:
@@ -99,10 +108,13 @@ def real(field: str, value: Any, shape: tuple[int | None, ...], meaning: str) ->
     widest = jnp.result_type(float)
     if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
         array = array.astype(widest)
+    if dtype is not None and array.dtype != dtype:
+        array = array.astype(dtype)
     if is_traced(array):
         return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
-    return jnp.asarray(array)
+    with eval_context():
+        return jnp.asarray(array)
 
 
 @jax.jit
