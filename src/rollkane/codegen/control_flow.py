@@ -29,6 +29,7 @@ from .jaxpr_types import (
 )
 from .loop_carry import Carry
 from .memory_walk import SMALL, MemoryWalk, Value, kept
+from .new_programs import pruned
 from .scalar_program import NotElementwiseError
 from .scalars import Number, in_c, type_of
 from .shared_calls import SharedCalls
@@ -58,6 +59,7 @@ class Structured(MemoryWalk):
         self.homes: dict[Variable, Memory] = {}
         self._loops = 0  # that hold what is being written
         self._shared = SharedCalls(self, jaxpr)
+        self._kept: dict[int, tuple[Jaxpr, list[Equation]]] = {}
 
     def through(
         self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Value]
@@ -66,14 +68,22 @@ class Structured(MemoryWalk):
         begun = (*map(self.of_its_size, closed), *values)
         known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
         last: dict[Variable, float] | None = None
-        for i, equation in enumerate(jaxpr.eqns):
+        equations = self._needed(jaxpr)
+        for i, equation in enumerate(equations):
             inputs = [_read(v, known) for v in equation.invars]
             if any(isinstance(x, Memory) for x in inputs):
-                last = last or _last_uses(jaxpr)
+                last = last or _last_uses(equations, jaxpr.outvars)
                 inputs = self._of_memory(equation, i, known, last)
             results = map(self.of_its_size, self.results(equation, inputs))
             known.update(zip(equation.outvars, results, strict=True))
         return [_read(v, known) for v in jaxpr.outvars]
+
+    def _needed(self, jaxpr: Jaxpr) -> list[Equation]:
+        """Equations on which a program's results depend."""
+        if id(jaxpr) not in self._kept:
+            # with the program: as long as it is there, its number is no other's
+            self._kept[id(jaxpr)] = jaxpr, pruned(jaxpr.eqns, jaxpr.outvars)
+        return self._kept[id(jaxpr)][1]
 
     def _of_memory(
         self,
@@ -330,12 +340,14 @@ def _has_large(equation: Equation) -> bool:
 _count = functools.cache(math.prod)  # of the few shapes that there are
 
 
-def _last_uses(jaxpr: Jaxpr) -> dict[Variable, float]:
+def _last_uses(
+    equations: list[Equation], outvars: Sequence[Variable]
+) -> dict[Variable, float]:
     """Of each variable, the last equation that reads it; infinite for results."""
     last: dict[Variable, float] = {}
-    for i, equation in enumerate(jaxpr.eqns):
+    for i, equation in enumerate(equations):
         last.update((v, i) for v in equation.invars if not _is_literal(v))
-    last.update((v, math.inf) for v in jaxpr.outvars if not _is_literal(v))
+    last.update((v, math.inf) for v in outvars if not _is_literal(v))
     return last
 
 

@@ -25,7 +25,7 @@ from ..geometry.small_linear import (
     solve_2x2,
 )
 from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
-from ..validation.checks import real, refuse
+from ..validation.checks import real_and_known, refuse
 from .bodies import Vector
 from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
 from .rolling import contact_of
@@ -206,10 +206,10 @@ def release(
         "alpha_dot": (alpha_dot, scene.coordinate_count),
     }
     e, w, r, v, a, a_dot = (
-        real(f"release.{name}", value, (size,), "numbers in SI units")
+        real_and_known(f"release.{name}", value, (size,), "numbers in SI units")
         for name, (value, size) in numbers.items()
     )
-    t = real("release.time", time, (), "seconds", r.dtype)
+    t = real_and_known("release.time", time, (), "seconds", r.dtype)
     gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
     place = refuse(
         r,

@@ -217,11 +217,6 @@ class _Runs(NamedTuple):
             return inputs.times
         return with_places(inputs.times, layout_of(inputs.events).capacity)
 
-    def made(self, inputs: _Inputs) -> tuple[Motion, HybridState, Float[Array, " T"]]:
-        """Motion, state and times."""
-        times = self.times(inputs)
-        return self.motion(inputs.scene, times.dtype), self.start(inputs), times
-
     @property
     def weights(self) -> Weights:
         """Of the method."""
@@ -234,10 +229,14 @@ class _Runs(NamedTuple):
         tableau = tableau_of(self.solver, dtype)
         return Motion(scene.in_modes, scene.modes, tableau)
 
+    def motion_of(self, inputs: _Inputs) -> Motion:
+        """The same of inputs."""
+        return self.motion(inputs.scene, inputs.times.dtype)
+
     def loop(self, inputs: _Inputs) -> tuple[Loop, Array, HybridState]:
         """The loop of steps of a run, its first mode and its start."""
         scene, start, _, times, rtol, atol, by_size, events = inputs
-        motion = self.motion(scene, times.dtype)
+        motion = self.motion_of(inputs)
         order = self.solver.order(dfx.ODETerm(lambda t, y, args: y))
         where = landings(times, *self.corners(scene))
         reach = reach_of(scene.body.surface, times.dtype) if motion.lands else None
@@ -250,7 +249,7 @@ class _Runs(NamedTuple):
 
     def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
         """What came out of a run."""
-        motion = self.motion(inputs.scene, inputs.times.dtype)
+        motion = self.motion_of(inputs)
         fault = self.fault(inputs)
         return ended(motion, c, inputs.times.shape[0], self.allowed, *fault)
 
@@ -264,7 +263,8 @@ class _Runs(NamedTuple):
 
     def repeated(self, inputs: _Inputs, record: Record) -> HybridOutcome:
         """The same by recorded steps."""
-        motion, y, times = self.made(inputs)
+        motion = self.motion_of(inputs)
+        y, times = self.start(inputs), self.times(inputs)
         path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
         found = outcome_of(path, t, last, None, None, None)
         if not inputs.events:
@@ -320,8 +320,10 @@ class _Runs(NamedTuple):
         del once
 
         def pulled(varied: Any, record: Record, cotangents: Cotangents) -> Any:
-            make: Make = lambda varied: self.made(inputs_of(varied))
-            return pulled_back(make, varied, jnp.asarray(self.mode), record, cotangents)
+            part: Callable[[Callable[[_Inputs], Any]], Callable[[Any], Any]]
+            part = lambda of: lambda varied: of(inputs_of(varied))
+            made = Make(part(self.motion_of), part(self.start), part(self.times))
+            return pulled_back(made, varied, jnp.asarray(self.mode), record, cotangents)
 
         of_path = cotangents.state, None, cotangents.switches
         parts = of_path, cotangents.final_time, cotangents.final_state

@@ -22,8 +22,6 @@ from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed
 from .modes import HybridState, ModedState, Switches
 from .transitions import Motion
 
-# Motion, state at the first time and output times, of a tree of floats.
-Make: TypeAlias = Callable[[Any], tuple[Motion, HybridState, Array]]
 # Of path, time and state, as ``mode_replay.replayed`` gives them.
 Cotangents: TypeAlias = tuple[tuple[ModedState, None, Switches], Array, ModedState]
 _Of: TypeAlias = Callable[[Array], Array]
@@ -37,6 +35,20 @@ _Begin: TypeAlias = tuple[Array, Float[Array, " n"], Float[Array, "3"]]
 _BackStages: TypeAlias = tuple[Array, Float[Array, "s n"], Any, _Begin, Array]
 
 
+class Make(NamedTuple):
+    """What a run is made of, by a tree of floats.
+
+    Attributes:
+        motion: Rates and events.
+        start: State at the first time, as it is given.
+        times: Of outputs [s].
+    """
+
+    motion: Callable[[Any], Motion]
+    start: Callable[[Any], HybridState]
+    times: Callable[[Any], Float[Array, " T"]]
+
+
 def pulled_back(
     make: Make,
     varied: Any,
@@ -47,7 +59,7 @@ def pulled_back(
     """Cotangents of a run's inputs: its steps backwards, each from where it began.
 
     Args:
-        make: ``make(varied)`` -> motion, state at the first time, output times.
+        make: What it is made of.
         varied: Tree of floats.
         mode: At the first time.
         record: Of the accepted steps.
@@ -87,8 +99,8 @@ def pulled_back(
     *_, cotangent, of_varied = jax.lax.while_loop(more, one, carry)
 
     def start(varied: Any) -> _OfPlace:
-        motion, y, times = make(varied)
-        place = begun(motion, mode, y, times)
+        made = make.motion(varied), mode, make.start(varied), make.times(varied)
+        place = begun(*made)
         return place.t, place.y, place.direction
 
     at_first: _Of = lambda x: x[0]
@@ -117,8 +129,7 @@ def _through_step(
         cotangent: Of time, state and direction where the next step begins, and of those
             that are shown.
     """
-    motion, _, times = make(varied)
-    ends = landed(times, row)
+    motion, ends = make.motion(varied), landed(make.times(varied), row)
     t, y, mode, direction = place
     known, end, _, last = motion.stages(mode, direction, t, ends, y)
 
@@ -128,9 +139,9 @@ def _through_step(
         end: Float[Array, " n"],
         last: Seen,
     ) -> list[list[Any]]:
-        motion, _, times = make(varied)
+        motion, ends = make.motion(varied), landed(make.times(varied), row)
         at = place._replace(direction=direction)
-        known = row, turn, landed(times, row), end, last
+        known = row, turn, ends, end, last
         both = behind(motion, at, *known, cond=plain_cond if becomes_c() else _cond)
         return [[p.t, p.y, p.direction] for p in both]
 
@@ -138,7 +149,7 @@ def _through_step(
     own, of_direction, of_end, of_last = pulled(after, moving, list(cotangent))
     stages = _Stages(make, varied, place, ends, known)
     of_varied, of_place, of_ends = stages.pulled(of_end, of_last)
-    when: _Of = lambda varied: landed(make(varied)[2], row)
+    when: _Of = lambda varied: landed(make.times(varied), row)
     of_when = pulled(when, (varied,), of_ends)
     total = jax.tree.map(lambda *x: sum(x), own, of_varied, *of_when)
     of_t, of_y, more = of_place
@@ -209,7 +220,7 @@ class _Stages(NamedTuple):
             of_end: Cotangent of the state that the last stage is at, in one array.
             of_last: Of what is seen there.
         """
-        tableau = self.make(self.varied)[0].tableau
+        tableau = self.make.motion(self.varied).tableau
         t, y, _, direction = self.place
         start, h = pack(y), self.ends - t
         last = tableau.nodes.shape[0] - 1
@@ -256,7 +267,7 @@ class _Stages(NamedTuple):
                 time: Float[Array, ""],
                 at: Float[Array, " n"],
             ) -> tuple[Float[Array, " n"], Seen]:
-                motion = self.make(varied)[0]
+                motion = self.make.motion(varied)
                 rates, seen = motion.by_mode[number](direction, time, unpack(at, y))
                 return pack(rates), seen
 

@@ -7,9 +7,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
 
-from ..dynamics.clearance import code_of_touch
+from ..dynamics.clearance import code_of_touch, may_touch_twice
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
 from ..dynamics.scene import Scene
@@ -56,6 +57,10 @@ def ended(
     stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
     code = jnp.where(stuck, Code.BAD_START, code)
     code = _explained(motion, allowed, code, c.place)
+    if motion.lands and may_touch_twice(motion.scenes.rolling):
+        several = _at_several_places(c.path.switches)
+        many = code == Code.TOO_MANY_SWITCHES
+        code = jnp.where(many & several, Code.SECOND_CONTACT, code)
     good = fault == NO_FAULT
     code = jnp.where(good, code, code_of_fault)
     t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
@@ -94,6 +99,21 @@ def _explained(
         code, scene, t, y
     )
     return as_it_is(touched, scene, place.t, place.mode, place.y)
+
+
+def _at_several_places(switches: Switches) -> Bool[Array, ""]:
+    """Whether the last four changes were at one time, and not all at one place.
+
+    That is within ten thousand roundings: as long as it takes to touch at one place and
+    be found to touch at the other.
+    """
+    rows = jnp.maximum(switches.count - 4 + jnp.arange(4), 0)
+    times, places = switches.time[rows], switches.state.contact_on_base[rows]
+    rounding = float(np.finfo(times.dtype).eps)
+    at_once = times[-1] - times[0] <= 1e4 * rounding * jnp.abs(times[-1])
+    apart = jnp.max(places, axis=0) - jnp.min(places, axis=0)
+    # by more than half of the digits
+    return at_once & jnp.any(apart > rounding**0.5 * jnp.max(jnp.abs(places)))
 
 
 def outcome_of(

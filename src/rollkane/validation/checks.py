@@ -8,6 +8,7 @@ back to the host.
 """
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any, cast
 
 import jax
@@ -77,8 +78,6 @@ def real(
 ) -> Array:
     """Convert to an array of floats of the given shape, or say why it cannot be.
 
-    What is known stays so inside of ``jit``: what follows from it is evaluated once.
-
     Args:
         field: Name used in the error.
         value: Number, nested sequence or array; floating arrays keep their dtype.
@@ -113,8 +112,19 @@ def real(
     if is_traced(array):
         return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
-    with eval_context():
-        return jnp.asarray(array)
+    return jnp.asarray(array)
+
+
+def real_and_known(
+    field: str,
+    value: Any,
+    shape: tuple[int | None, ...],
+    meaning: str,
+    dtype: np.dtype[Any] | None = None,
+) -> Array:
+    """The same; what is known stays so inside of ``jit``: it is evaluated once."""
+    with nullcontext() if is_traced(value) else eval_context():
+        return real(field, value, shape, meaning, dtype)
 
 
 @jax.jit

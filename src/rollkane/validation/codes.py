@@ -60,8 +60,9 @@ _REASONS = {
     "plane: the flat of a disc, which comes to lie on its face (a Ring is a wire, and "
     "its contact goes round on a curved base), the tip of a cone, the rim of a cup; "
     "look at final_time and final_state",
-    Code.SECOND_CONTACT: "the body reached the base at a second place; look at "
-    "final_time and final_state, or leave out second_contact to go on through it",
+    Code.SECOND_CONTACT: "the body reached the base at a second place, or at several "
+    "at once; look at final_time and final_state, or leave out second_contact, if it "
+    "was asked for, to go on through it",
     Code.INCONSISTENT_IMPACT: "Newton's restitution with friction has no impulse for "
     "this impact that pushes, acts against the slip and adds no energy: use "
     'Modes(impact="energetic")',
