@@ -1,6 +1,7 @@
 """How functions are traced: once for many places, and for which target."""
 
 import functools
+import gc
 import threading
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -60,3 +61,19 @@ def becoming_c() -> Generator[None, None, None]:
 def becomes_c() -> bool:
     """Whether what is traced does."""
     return _target.is_c
+
+
+@contextmanager
+def not_collecting() -> Generator[None, None, None]:
+    """Within, Python looks for no cycles among what is dropped.
+
+    Tracing makes hundreds of thousands of objects that stay: to look among them takes
+    a tenth of its time.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()

@@ -22,7 +22,7 @@ from .memory_walk import SMALL, Value
 from .scalar_program import NotElementwiseError
 from .scalars import in_c, type_of
 from .statement_writer import Writer, part
-from .tracing import becoming_c
+from .tracing import becoming_c, not_collecting
 
 # Lines that are worth a compiler of their own, and beyond which it takes less care: at
 # -O1 instead of -O2 14,000 lines take 1.1 instead of 1.6 s on two cores; a plate's
@@ -90,6 +90,7 @@ class Whole(NamedTuple):
     results: tuple[list[Any], Any]
 
     @staticmethod
+    @not_collecting()
     def of(function: Callable[..., Any], *arguments: Any) -> "Whole":
         """The program of a function.
 

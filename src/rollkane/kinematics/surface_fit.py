@@ -110,10 +110,11 @@ def _orthogonal_to(rows: Float[Array, "2 4"]) -> Float[Array, "4 2"]:
     the last two of the orthogonal matrix.
     """
     across: list[Array] = []
+    index = jnp.arange(4)
     for k in range(2):
-        x = jnp.where(jnp.arange(4) >= k, rows[k], 0.0)
+        x = jnp.where(index >= k, rows[k], 0.0)
         length = jnp.where(x[k] < 0.0, -norm(x), norm(x))
-        v = x.at[k].add(length)
+        v = x + jnp.where(index == k, length, 0.0)
         squared = dot(v, v)
         v = v * jnp.sqrt(2.0 / jnp.where(squared > 0.0, squared, 1.0))
         rows = rows - (rows @ v)[:, None] * v[None]
