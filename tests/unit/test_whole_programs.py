@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rollkane.codegen import Whole, in_one_program, in_one_program_or_not
+from rollkane.codegen.known_numbers import of_known
 from rollkane.codegen.scalar_program import NotElementwiseError
 from rollkane.geometry.small_linear import components
 
@@ -321,3 +322,15 @@ def test_what_is_not_written_in_c():
     mixed = lambda x: jnp.sum(x.astype(jnp.float32) * 2.0)
     with pytest.raises(NotElementwiseError, match="float32"):
         in_one_program(mixed, MANY)
+
+
+@pytest.mark.parametrize("kind", ["int64", "uint32"])
+@pytest.mark.parametrize("name", ["div", "rem"])
+def test_known_whole_numbers_are_divided_as_xla_does(kind, name):
+    for a in (-7, -6, -1, 0, 1, 6, 7):
+        if a < 0 and kind[0] == "u":
+            continue
+        operands = [np.dtype(kind).type(x) for x in (a, 3)]
+        found = of_known(name, {}, operands, np.dtype(kind))
+        assert found.dtype == kind
+        assert found == getattr(jax.lax, name)(*map(jnp.asarray, operands))
