@@ -27,7 +27,7 @@ from .tracing import becoming_c, not_collecting
 # Lines that are worth a compiler of their own, and beyond which it takes less care: at
 # -O1 instead of -O2 14,000 lines take 1.1 instead of 1.6 s on two cores; a plate's
 # 10,000, or a gradient's, run a tenth to a quarter longer.
-_WORTH_A_COMPILER, _LONG = 2_000, 10_000
+_WORTH_A_COMPILER, _LONG = 2_000, 12_000
 
 
 def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
