@@ -25,8 +25,8 @@ from .statement_writer import Writer, part
 from .tracing import becoming_c, not_collecting
 
 # Lines that are worth a compiler of their own, and beyond which it takes less care: at
-# -O1 instead of -O2 14,000 lines take 1.1 instead of 1.6 s on two cores; a plate's
-# 10,000, or a gradient's, run a tenth to a quarter longer.
+# -O1 14,000 lines take 1.1 s on two cores, at -O2 1.5 to 2.3; a plate's 10,000, or a
+# gradient's, run a tenth to a quarter longer.
 _WORTH_A_COMPILER, _LONG = 2_000, 12_000
 
 

@@ -303,10 +303,8 @@ def _solved(
         return solve_2x2(by_base + matmul(shell.lengths, W), left)
     mixing = matmul(ground.frame.T[:2], matmul(to_base, shell.frame[:, :2]))
     aligned = dot(normal, ground.normal) * W
-    by_body, by_turning = (
-        matmul(mixing, shell.lengths),
-        -matmul(mixing, shell.frame_rates),
-    )
+    by_body = matmul(mixing, shell.lengths)
+    by_turning = -matmul(mixing, shell.frame_rates)
     # the base's point, whose block is near its metric, eliminated
     own = solve_2x2(by_base, left[:2])
     of_body = solve_2x2(by_base, by_body)

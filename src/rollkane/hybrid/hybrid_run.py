@@ -23,6 +23,7 @@ from ..codegen import (
 )
 from ..codegen.derivatives import jvp
 from ..codegen.tableau import Weights, tableau_of, weights_of
+from ..codegen.tracing import shared_in_c
 from ..dynamics.clearance import reach_of
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling_problem import error_sizes
@@ -201,15 +202,9 @@ class _Runs(NamedTuple):
         """
         t, start = jax.lax.stop_gradient(inputs.times[0]), inputs.start
         start = of(consistent(inputs.scene.in_modes.rolling, t, start))
-        good = self.fault(inputs)[0] == NO_FAULT
+        good = _fault(inputs.scene, inputs.start, inputs.asked)[0] == NO_FAULT
         clear: Callable[[Array], Array] = lambda x: cleared(x, good)
         return jax.tree.map(clear, start)
-
-    def fault(self, inputs: _Inputs) -> tuple[Array, Array]:
-        """Number of the field that cannot be used, and the code of a run with it."""
-        asked = inputs.asked
-        increasing = in_order(asked) & ~(asked[0] > asked[-1])
-        return first_fault(inputs.scene, of(inputs.start), increasing)
 
     def times(self, inputs: _Inputs) -> Float[Array, " T"]:
         """Of outputs, and of the places for events behind them."""
@@ -250,7 +245,7 @@ class _Runs(NamedTuple):
     def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
         """What came out of a run."""
         motion = self.motion_of(inputs)
-        fault = self.fault(inputs)
+        fault = _fault(inputs.scene, inputs.start, inputs.asked)
         return ended(motion, c, inputs.times.shape[0], self.allowed, *fault)
 
     def stepped(
@@ -329,6 +324,15 @@ class _Runs(NamedTuple):
         parts = of_path, cotangents.final_time, cotangents.final_state
         call = in_one_program_or_not if self.native else _called
         return call(pulled, varied, record, parts)
+
+
+@shared_in_c  # asked for at the start and at the end of a run
+def _fault(
+    scene: HybridScene, start: State, asked: Float[Array, " T"]
+) -> tuple[Array, Array]:
+    """Number of the field that cannot be used, and the code of a run with it."""
+    increasing = in_order(asked) & ~(asked[0] > asked[-1])
+    return first_fault(scene, of(start), increasing)
 
 
 def _called(function: Callable[..., Any], *arguments: Any) -> Any:

@@ -40,7 +40,7 @@ class Make(NamedTuple):
 
     Attributes:
         motion: Rates and events.
-        start: State at the first time, as it is given.
+        start: State at the first time.
         times: Of outputs [s].
     """
 
