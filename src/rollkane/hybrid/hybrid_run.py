@@ -21,7 +21,6 @@ from ..codegen import (
     in_one_program_or_not,
     with_known_zeros,
 )
-from ..codegen.derivatives import jvp
 from ..codegen.tableau import Weights, tableau_of, weights_of
 from ..codegen.tracing import shared_in_c
 from ..dynamics.clearance import reach_of
@@ -34,10 +33,11 @@ from ..integration.step_control import Stops, landings
 from ..kinematics.coordinates import State, pack
 from ..validation.checks import FieldError, cleared
 from ..validation.codes import NO_FAULT, Code, first_fault
-from .mode_adjoint import Cotangents, Make, pulled_back
+from .mode_adjoint import Cotangents, pulled_back
 from .mode_lanes import one_or_many
 from .mode_loop import Loop
-from .mode_replay import Record, replayed
+from .mode_replay import Record
+from .mode_tangents import Make, pushed_on
 from .modes import HybridScene, HybridState, Mode, of
 from .outcome import HybridOutcome, ended, outcome_of
 from .step_trial import Allowed, Run
@@ -117,7 +117,7 @@ def integrate_modes(
     found: HybridOutcome = differentiable(
         runs.solve,
         inputs,
-        push=runs.push if runs.native else None,
+        push=runs.push,
         pull=runs.pull,
         twice=_refuse_twice,
         unknown=unknown,
@@ -228,6 +228,12 @@ class _Runs(NamedTuple):
         """The same of inputs."""
         return self.motion(inputs.scene, inputs.times.dtype)
 
+    def make(self, inputs_of: Callable[[Any], _Inputs]) -> Make:
+        """What a run is made of, by what its inputs are made of."""
+        part: Callable[[Callable[[_Inputs], Any]], Callable[[Any], Any]]
+        part = lambda of: lambda varied: of(inputs_of(varied))
+        return Make(part(self.motion_of), part(self.start), part(self.times))
+
     def loop(self, inputs: _Inputs) -> tuple[Loop, Array, HybridState]:
         """The loop of steps of a run, its first mode and its start."""
         scene, start, _, times, rtol, atol, by_size, events = inputs
@@ -256,25 +262,14 @@ class _Runs(NamedTuple):
         c = loop.run(mode, y, self.max_steps, recording)
         return self.ended(inputs, c), c.record
 
-    def repeated(self, inputs: _Inputs, record: Record) -> HybridOutcome:
-        """The same by recorded steps."""
-        motion = self.motion_of(inputs)
-        y, times = self.start(inputs), self.times(inputs)
-        path, t, last = replayed(motion, jnp.asarray(self.mode), y, times, record)
-        found = outcome_of(path, t, last, None, None, None)
-        if not inputs.events:
-            return found
-        # where steps ended on events does not move along them
-        fixed = jnp.zeros(layout_of(inputs.events).capacity, times.dtype)
-        none = jnp.zeros(0, int)
-        return dataclasses.replace(found, kept=Kept(fixed, none, none, none))
-
     def solve(
-        self, inputs: _Inputs, replay: Record | None, adjoint: object
+        self, inputs: _Inputs, replay: object, adjoint: object
     ) -> tuple[HybridOutcome, Record | None]:
-        """One of the functions of ``integration.differentiate.differentiable``."""
-        if replay is not None:
-            return self.repeated(inputs, replay), None
+        """One of the functions of ``integration.differentiate.differentiable``.
+
+        Its steps are taken again by the two others.
+        """
+        del replay
         if self.native and adjoint is None:
             run = one_or_many(self, inputs, self.max_steps)
             return cast(HybridOutcome, run), None
@@ -293,14 +288,21 @@ class _Runs(NamedTuple):
         del once
 
         def pushed(varied: Any, record: Record, tangents: Any) -> list[Array]:
-            outputs: Callable[[Any], list[Array]] = lambda varied: _floats(
-                self.repeated(inputs_of(varied), record)
-            )
-            return jvp(outputs, (varied,), (tangents,))[1]
+            inputs, made = inputs_of(varied), self.make(inputs_of)
+            mode, count = jnp.asarray(self.mode), inputs.scene.modes.switches
+            dots = pushed_on(made, varied, mode, record, tangents, count)
+            found = outcome_of(*dots, None, None, None)
+            if inputs.events:
+                # where steps ended on events does not move along them
+                capacity = layout_of(inputs.events).capacity
+                fixed = jnp.zeros(capacity, inputs.times.dtype)
+                none = jnp.zeros(0, int)
+                found = dataclasses.replace(found, kept=Kept(fixed, none, none, none))
+            return _floats(found)
 
-        one: Callable[[Any], list[Array]] = lambda tangents: in_one_program_or_not(
-            pushed, varied, record, tangents
-        )
+        call = in_one_program_or_not if self.native else _called
+        one: Callable[[Any], list[Array]]
+        one = lambda tangents: call(pushed, varied, record, tangents)
         return jax.vmap(one)(tangents)
 
     def pull(
@@ -315,10 +317,8 @@ class _Runs(NamedTuple):
         del once
 
         def pulled(varied: Any, record: Record, cotangents: Cotangents) -> Any:
-            part: Callable[[Callable[[_Inputs], Any]], Callable[[Any], Any]]
-            part = lambda of: lambda varied: of(inputs_of(varied))
-            made = Make(part(self.motion_of), part(self.start), part(self.times))
-            return pulled_back(made, varied, jnp.asarray(self.mode), record, cotangents)
+            made, mode = self.make(inputs_of), jnp.asarray(self.mode)
+            return pulled_back(made, varied, mode, record, cotangents)
 
         of_path = cotangents.state, None, cotangents.switches
         parts = of_path, cotangents.final_time, cotangents.final_state

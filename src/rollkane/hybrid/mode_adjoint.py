@@ -17,36 +17,24 @@ from ..codegen.tableau import stage_sum
 from ..codegen.tracing import becomes_c
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
-from .mode_rates import Seen, plain_cond
-from .mode_replay import KIND, OUTPUT, Place, Record, begun, behind, landed
+from .mode_rates import Cond, Seen, picked, plain_cond
+from .mode_replay import KIND, EndOf, Place, Record, Taken
+from .mode_tangents import Make, OfPlace, of_place
 from .modes import HybridState, ModedState, Switches
-from .transitions import Motion
 
-# Of path, time and state, as ``mode_replay.replayed`` gives them.
+# Of path, time and state, as a run leaves them.
 Cotangents: TypeAlias = tuple[tuple[ModedState, None, Switches], Array, ModedState]
 _Of: TypeAlias = Callable[[Array], Array]
-# Of time, state and direction of a slip.
-_OfPlace: TypeAlias = tuple[Array, HybridState, Array]
 # Number of a step and of its event, then cotangents: of its end, of the inputs.
-_Back: TypeAlias = tuple[Array, Array, _OfPlace, Any]
+_Back: TypeAlias = tuple[Array, Array, OfPlace, Any]
 # Of a step's begin: of time, state in one array, and direction of a slip.
-_Begin: TypeAlias = tuple[Array, Float[Array, " n"], Float[Array, "3"]]
+_Begin: TypeAlias = tuple[Float[Array, ""], Float[Array, " n"], Float[Array, "3"]]
+# Of the inputs, of the begin, and of the time of the end.
+_OfStep: TypeAlias = tuple[Any, _Begin, Float[Array, ""]]
+# Number of a turn, how what was asked follows the step's end, and what was found last.
+_Along: TypeAlias = tuple[Array, Float[Array, "4"], _OfStep]
 # Number of a stage, then cotangents: of its rates, the inputs, the begin, the end.
 _BackStages: TypeAlias = tuple[Array, Float[Array, "s n"], Any, _Begin, Array]
-
-
-class Make(NamedTuple):
-    """What a run is made of, by a tree of floats.
-
-    Attributes:
-        motion: Rates and events.
-        start: State at the first time.
-        times: Of outputs [s].
-    """
-
-    motion: Callable[[Any], Motion]
-    start: Callable[[Any], HybridState]
-    times: Callable[[Any], Float[Array, " T"]]
 
 
 def pulled_back(
@@ -68,27 +56,25 @@ def pulled_back(
     """
     (saved, _, switches), t, last = cotangents
 
-    def of_shown(row: Float[Array, "4"], number: Int[Array, ""]) -> _OfPlace:
+    def of_shown(taken: Taken, count: Int[Array, ""]) -> OfPlace:
         """What outputs and switches ask of the end of a step."""
-        output, event = row[OUTPUT].astype(int), row[KIND] >= 0
+        event = taken.kind >= 0
         part: Callable[[Array, Array, Array], Array] = lambda where, array, i: (
             jnp.where(where, array[i], 0.0)
         )
-        at_output: _Of = lambda array: part(output > 0, array, output)
-        at_event: _Of = lambda array: part(event, array, number)
+        at_output: _Of = lambda array: part(taken.output > 0, array, taken.output)
+        at_event: _Of = lambda array: part(event, array, count)
         y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
         time, changed = jax.tree.map(at_event, (switches.time, switches.state))
         return time, jax.tree.map(jnp.add, y, changed), direction
 
     def one(carry: _Back) -> _Back:
-        i, number, cotangent, of_varied = carry
-        kept: _Of = lambda x: x[i]
-        place = jax.tree.map(kept, record.kept)
-        number = number - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
-        row, turn = record.step(i, number)
-        cotangent = list(cotangent), list(of_shown(row, number))
-        own, cotangent = _through_step(make, varied, place, row, turn, cotangent)
-        return i - 1, number, cotangent, jax.tree.map(jnp.add, of_varied, own)
+        i, count, cotangent, of_varied = carry
+        count = count - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
+        taken = record.step(i, count)
+        both = cotangent, of_shown(taken, count)
+        own, cotangent = _through_step(make, varied, taken, both)
+        return i - 1, count, cotangent, jax.tree.map(jnp.add, of_varied, own)
 
     cotangent = t, last.parts, last.direction
     zeros: _Of = lambda x: jnp.zeros_like(x)
@@ -98,11 +84,7 @@ def pulled_back(
     more: Callable[[_Back], Array] = lambda c: c[0] >= 0
     *_, cotangent, of_varied = jax.lax.while_loop(more, one, carry)
 
-    def start(varied: Any) -> _OfPlace:
-        made = make.motion(varied), mode, make.start(varied), make.times(varied)
-        place = begun(*made)
-        return place.t, place.y, place.direction
-
+    start: Callable[[Any], OfPlace] = lambda varied: make.begun(varied, mode)
     at_first: _Of = lambda x: x[0]
     first = jax.tree.map(at_first, (saved.parts, saved.direction))
     cotangent = cotangent[0], *jax.tree.map(jnp.add, cotangent[1:], first)
@@ -111,49 +93,112 @@ def pulled_back(
 
 
 def _through_step(
-    make: Make,
-    varied: Any,
-    place: Place,
-    row: Float[Array, "4"],
-    turn: Float[Array, " m"],
-    cotangent: tuple[list[Any], list[Any]],
-) -> tuple[Any, _OfPlace]:
+    make: Make, varied: Any, taken: Taken, cotangent: tuple[OfPlace, OfPlace]
+) -> tuple[Any, OfPlace]:
     """Cotangents of the inputs, and of time, state and direction before a step.
 
     Args:
-        make: As for :func:`pulled_back`.
-        varied: Likewise.
-        place: Where the step began.
-        row: Of the record.
-        turn: What was recorded of its event.
+        make: What the run is made of.
+        varied: Tree of floats.
+        taken: The step.
         cotangent: Of time, state and direction where the next step begins, and of those
             that are shown.
     """
-    motion, ends = make.motion(varied), landed(make.times(varied), row)
-    t, y, mode, direction = place
-    known, end, _, last = motion.stages(mode, direction, t, ends, y)
+    cond = plain_cond if becomes_c() else _cond
+    ends = taken.ends(make.times(varied))
 
-    def after(
-        varied: Any,
-        direction: Float[Array, "3"],
-        end: Float[Array, " n"],
-        last: Seen,
-    ) -> list[list[Any]]:
-        motion, ends = make.motion(varied), landed(make.times(varied), row)
-        at = place._replace(direction=direction)
-        known = row, turn, ends, end, last
-        both = behind(motion, at, *known, cond=plain_cond if becomes_c() else _cond)
-        return [[p.t, p.y, p.direction] for p in both]
+    def behind(
+        varied: Any, direction: Array, t: Array, y: HybridState
+    ) -> tuple[OfPlace, OfPlace]:
+        both = taken.behind(make.motion(varied), direction, t, y, cond)
+        return of_place(both[0]), of_place(both[1])
 
-    moving = varied, direction, end, last
-    own, of_direction, of_end, of_last = pulled(after, moving, list(cotangent))
-    stages = _Stages(make, varied, place, ends, known)
-    of_varied, of_place, of_ends = stages.pulled(of_end, of_last)
-    when: _Of = lambda varied: landed(make.times(varied), row)
-    of_when = pulled(when, (varied,), of_ends)
+    at_end = varied, taken.begun.direction, ends, taken.y
+    own, turned, of_t, of_y = pulled(behind, at_end, cotangent)
+    found = _through_stages(make, varied, taken, ends, (of_t, of_y), cond)
+    of_varied, (of_begin, of_start, of_direction), of_ends = found
+    when: Callable[[Any], Array] = lambda varied: taken.ends(make.times(varied))
+    of_when = pulled(when, (varied,), of_t + of_ends)
     total = jax.tree.map(lambda *x: sum(x), own, of_varied, *of_when)
-    of_t, of_y, more = of_place
-    return total, (of_t, unpack(of_y, y), of_direction + more)
+    return total, (of_begin, unpack(of_start, taken.y), turned + of_direction)
+
+
+# Turns of a step's way back: the slip that ends or, in the last of them, the event's
+# value; the state at its end; all at once.
+_VALUE, _STATE, _ALL = 2, 3, 4
+
+
+def _through_stages(
+    make: Make,
+    varied: Any,
+    taken: Taken,
+    ends: Float[Array, ""],
+    cotangent: tuple[Float[Array, ""], HybridState],
+    cond: Cond,
+) -> _OfStep:
+    """Cotangents of a step up to where an event changes its state.
+
+    An event's time moves, and with it the step's end. So of an event three to four
+    turns before the last ask how the end's time moves what is looked at there.
+
+    Args:
+        make: What the run is made of.
+        varied: Tree of floats.
+        taken: The step.
+        ends: When it ends [s].
+        cotangent: Of time and state there.
+        cond: As ``plain_cond``.
+    """
+    motion = make.motion(varied)
+    t, y, mode, direction = taken.begun
+    known, at, _, last = motion.stages(mode, direction, t, ends, y)
+    stages = _Stages(make, varied, taken.begun, ends, known)
+    slides, (of_t, of_y) = taken.slides(motion), cotangent
+    zeros: _Of = lambda x: jnp.zeros_like(x)
+    still = jax.tree.map(zeros, of_y)
+    places, ways = jnp.arange(4), jnp.arange(3)
+
+    def one(carry: _Along) -> _Along:
+        turn, follows, _ = carry
+        moved = taken.moved(motion, follows[_VALUE], follows[:_STATE])
+        way, last_turn = moved.way, turn == _ALL
+        back = jnp.where(last_turn, -(of_t + follows[_STATE]), 0.0)
+        value = jnp.where((turn == _VALUE) & ~slides, 1.0, back * moved.value)
+        slip = jnp.where((turn == ways) & slides, 1.0, 0.0)
+        asked = (
+            jnp.where(jnp.arange(2) == taken.number, value, 0.0),
+            _with_slip(picked(turn == _STATE, of_y, still), slip),
+            _with_slip(picked(last_turn, of_y, still), back * moved.slip),
+        )
+
+        def end(
+            varied: Any, direction: Array, ends: Array, at: Array, last: Seen
+        ) -> EndOf:
+            motion = make.motion(varied)
+            return taken.at_end(motion, direction, ends, at, last, way, cond)
+
+        at_end = varied, direction, ends, at, last
+        own, turned, of_time, of_at, of_last = pulled(end, at_end, asked)
+        total, (of_begin, of_start, of_way), of_ends = stages.pulled(of_at, of_last)
+        of_ends = of_ends + of_time
+        found = (
+            jax.tree.map(jnp.add, own, total),
+            (of_begin, of_start, turned + of_way),
+            of_ends,
+        )
+        return turn + 1, jnp.where(places == turn, of_ends, follows), found
+
+    begin = zeros(t), zeros(pack(y)), zeros(direction)
+    none = jax.tree.map(zeros, varied), begin, zeros(t)
+    first = jnp.where(slides, 0, jnp.where(taken.kind >= 0, _VALUE, _ALL))
+    more: Callable[[_Along], Array] = lambda carry: carry[0] <= _ALL
+    carry = first, jnp.zeros(4, t.dtype), none
+    return jax.lax.while_loop(more, one, carry)[2]
+
+
+def _with_slip(y: HybridState, slip: Float[Array, "3"]) -> HybridState:
+    """A state's cotangent with more of its slip's."""
+    return eqx.tree_at(lambda y: y.slip, y, y.slip + slip)
 
 
 # plain_cond, each branch of which is transposed by itself: by XLA

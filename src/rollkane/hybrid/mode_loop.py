@@ -21,9 +21,9 @@ from ..kinematics.coordinates import pack
 from ..validation.codes import Code
 from .event_location import Bracket
 from .mode_rates import picked
-from .mode_replay import Path, Place, Record, turning
+from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
-from .step_trial import Run, Trials, Tried, Verdict
+from .step_trial import Run, Trials, Tried
 from .transitions import Begun
 from .user_events import (
     Look,
@@ -56,21 +56,14 @@ class Loop(Trials):
         """One turn of the loop."""
         tried = self.tried(c)
         verdict = self.judged(c, tried)
-        event, at = verdict.event, c.place
-        kind, end, motion = verdict.kind, tried.end, self.motion
-        ends = event & motion.ends_slip(at.mode, kind)
-        begun = motion.has_begun(at.mode, at.direction, end.y, ends)
-        straight = lambda: motion.straightened(end.way, tried.t, end.y, begun)
-        y = cast(HybridState, jax.lax.cond(begun, straight, lambda: end.y))
-        changed = lambda: motion.changed(at.mode, kind, at.direction, tried.t, y, event)
-        same = lambda: (at.mode, at.direction, y)
-        mode, direction, y = cast(Begun, jax.lax.cond(event, changed, same))
-        after = Place(tried.t, y, mode, motion.along(mode, direction, y))
+        event, kind, at, end = verdict.event, verdict.kind, c.place, tried.end
+        slid, after = self._behind(at, tried, event, kind)
         full = event & (c.path.switches.count >= self.motion.modes.switches)
-        lost = event & ~jnp.all(jnp.isfinite(pack(y)))
+        lost = event & ~jnp.all(jnp.isfinite(pack(after.y)))
         accept = verdict.accept & ~full & ~lost
         look = self.looks_for_events(c, tried, accept)
         accept = accept if look is None else look.stands
+        happens = event & accept
         lands = tried.lands & accept
         # a step ends one number before a jump, even if that is an output
         saves = lands & (jnp.nextafter(tried.t, jnp.inf) >= self.times[c.path.reached])
@@ -81,18 +74,21 @@ class Loop(Trials):
             following = after._replace(t=begin)
         watched, shown = c.watched, output
         if look is not None and watched is not None:
-            look = behind(self.events, self.motion, look, event & accept, after)
+            look = behind(self.events, self.motion, look, happens, after)
             layout, outputs = layout_of(self.events), self.times.shape[0]
             watched = watched._replace(search=look.search, trial=look.trial)
             watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
         record = c.record
         if record is not None:
-            record = self._recorded(c, tried, verdict, accept, shown, following.t)
+            number, value = jnp.where(event, kind, -1), end.values[kind]
+            row = tried.t, following.t, number, value, shown
+            known = following, c.path.switches.count, happens, slid
+            record = record.after(c.accepted, accept, row, *known)
         code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
         code = jnp.where(lost, self.code_of_loss(at.mode), code)
         values = self.values_after(c, end.values, event, after)
-        path = c.path.after(shown, event & accept, at.mode, *after)
+        path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:
             reached = jnp.where(output > 0, path.reached, c.path.reached)
             path = path._replace(reached=reached)
@@ -112,6 +108,21 @@ class Loop(Trials):
             watched=watched,
         )
         return run if look is None else self.judged_again(c, tried, look, run)
+
+    def _behind(
+        self, at: Place, tried: Tried, event: Bool[Array, ""], kind: Int[Array, ""]
+    ) -> tuple[HybridState, Place]:
+        """The end of a step: its state before it changes anything, and what follows."""
+        motion, end = self.motion, tried.end
+        ends = event & motion.ends_slip(at.mode, kind)
+        begun = motion.has_begun(at.mode, at.direction, end.y, ends)
+        straight = lambda: motion.straightened(end.way, tried.t, end.y, begun)
+        slid = cast(HybridState, jax.lax.cond(begun, straight, lambda: end.y))
+        before = at.mode, kind, at.direction, tried.t, slid
+        changed = lambda: motion.changed(*before, event)
+        same = lambda: (at.mode, at.direction, slid)
+        mode, direction, y = cast(Begun, jax.lax.cond(event, changed, same))
+        return slid, Place(tried.t, y, mode, motion.along(mode, direction, y))
 
     def _bounded(
         self, step: Float[Array, ""], record: Record | None
@@ -175,26 +186,6 @@ class Loop(Trials):
         if self.motion.modes.impact != "newton":
             return code
         return jnp.where(mode == Mode.FLYING, Code.INCONSISTENT_IMPACT, code)
-
-    def _recorded(
-        self,
-        c: Run,
-        tried: Tried,
-        verdict: Verdict,
-        accept: Bool[Array, ""],
-        output: Int[Array, ""],
-        next: Float[Array, ""],
-    ) -> Record:
-        """The record with a step that was accepted."""
-        at, event, kind = c.place, verdict.event & accept, verdict.kind
-        assert c.record is not None
-        turns = c.record.turns
-        turned = lambda: turning(self.motion, at, tried.t, tried.end, kind)
-        none = lambda: jnp.zeros_like(turns[0])
-        turn = cast(Array, jax.lax.cond(event, turned, none))
-        row = tried.t, next, jnp.where(event, kind, -1), output
-        count = c.path.switches.count
-        return c.record.after(c.accepted, accept, at, row, count, event, turn)
 
     def run(
         self, mode: Int[Array, ""], y: HybridState, max_steps: int, recording: bool

@@ -1,7 +1,7 @@
-"""The way of a run in modes: what it leaves, the steps that it took, and their replay.
+"""The way of a run in modes: what it leaves, and the steps that it took.
 
-The accepted steps are recorded and replayed, with tangents; see ``mode_adjoint`` for
-the way back.
+The accepted steps are recorded; derivatives follow them, forwards by ``mode_tangents``,
+back by ``mode_adjoint``.
 """
 
 from collections.abc import Callable
@@ -11,12 +11,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen.derivatives import jvp
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
-from .mode_rates import Cond, Seen, Step, plain_cond
+from .mode_rates import Cond, Seen, not_zero, picked, plain_cond
 from .modes import HybridState, ModedState, Switches
-from .transitions import Motion
+from .transitions import Begun, Motion
 
 # An array, and what is put into it.
 _Stored: TypeAlias = Callable[[Array, Array], Array]
@@ -73,10 +72,10 @@ class Path(NamedTuple):
     ) -> "Path":
         """With a step that ended on an output (0: on none), and on an event or not."""
         saves = output > 0
-        store: _Stored = lambda array, x: _put(array, output, saves, x)
+        store: _Stored = lambda array, x: stored(array, output, saves, x)
         saved = jax.tree.map(store, self.saved, ModedState(y, mode, direction))
         old = self.switches
-        put: _Stored = lambda array, x: _put(array, old.count, event, x)
+        put: _Stored = lambda array, x: stored(array, old.count, event, x)
         switches = Switches(
             put(old.time, t),
             put(old.before, before),
@@ -87,7 +86,7 @@ class Path(NamedTuple):
         return Path(saved, jnp.where(saves, output + 1, self.reached), switches)
 
 
-def _put(array: Array, i: Int[Array, ""], where: Bool[Array, ""], x: Array) -> Array:
+def stored(array: Array, i: Int[Array, ""], where: Bool[Array, ""], x: Array) -> Array:
     """With ``x`` in place i, if it is to be and there is one; nothing is copied."""
     last = array.shape[0] - 1
     at = jnp.minimum(i, last)
@@ -95,7 +94,7 @@ def _put(array: Array, i: Int[Array, ""], where: Bool[Array, ""], x: Array) -> A
 
 
 # Columns of a record's steps.
-_END, _BEGIN, KIND, OUTPUT = range(4)
+_END, _BEGIN, KIND, _VALUE, OUTPUT = range(5)
 
 
 class Place(NamedTuple):
@@ -112,12 +111,9 @@ class Place(NamedTuple):
         return ModedState(self.y, self.mode, self.direction)
 
 
-# Number of a step, where it begins, and the path until there.
-_Replay: TypeAlias = tuple[Array, Place, Path]
-# Time, mode, direction of a slip and state behind an event.
-_After: TypeAlias = tuple[Array, Array, Array, HybridState]
-
-
+# At the end of a step: the events' values, its state, and that without what friction
+# has ended.
+EndOf: TypeAlias = tuple[Float[Array, "2"], HybridState, HybridState]
 # A state along the direction of its slip, or as it is.
 _Turned: TypeAlias = Callable[[Motion, Array, HybridState, Array, Array], HybridState]
 
@@ -127,24 +123,27 @@ class Record(NamedTuple):
 
     Attributes:
         steps: A row for each: where it ended [s], where the next one began [s], which
-            event it ended on, or -1, which output it ended on, or 0; NaN where there
-            was none, shape (N, 4).
-        turns: A row for each event, from :func:`turning`, shape (S, 7 + n).
-        kept: Where the run was before each step.
+            event it ended on, or -1, and its value there, which output it ended on, or
+            0; NaN where there was none, shape (N, 5).
+        changed: States that events changed, each in one array, shape (S, n).
+        kept: Where the run was at its start, and behind each step, N + 1 of them.
     """
 
-    steps: Float[Array, "N 4"]
-    turns: Float[Array, "S m"]
+    steps: Float[Array, "N 5"]
+    changed: Float[Array, "S n"]
     kept: Place
 
     @staticmethod
     def empty(steps: int, begun: Place, switches: int) -> "Record":
-        """Room for steps and switches."""
+        """The start, and room for steps and switches."""
         size, dtype = pack(begun.y).shape[0], begun.t.dtype
-        many: Callable[[Array], Array] = lambda x: jnp.zeros((steps, *x.shape), x.dtype)
+
+        def many(x: Array) -> Array:
+            return jnp.zeros((steps + 1, *x.shape), x.dtype).at[0].set(x)
+
         return Record(
-            jnp.full((steps, 4), jnp.nan, dtype),
-            jnp.zeros((switches, 7 + size), dtype),
+            jnp.full((steps, 5), jnp.nan, dtype),
+            jnp.zeros((switches, size), dtype),
             jax.tree.map(many, begun),
         )
 
@@ -152,24 +151,29 @@ class Record(NamedTuple):
         self,
         row: Int[Array, ""],
         accept: Bool[Array, ""],
-        begun: Place,
         step: tuple[Array, ...],
+        following: Place,
         count: Int[Array, ""],
         event: Bool[Array, ""],
-        turn: Float[Array, " m"],
+        y: HybridState,
     ) -> "Record":
-        """With an accepted step, where it began, and what its event recorded."""
+        """With an accepted step, what follows it, and what its event changed."""
         numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
-        keep: _Stored = lambda array, x: _put(array, row, accept, x)
+        keep: _Stored = lambda array, x: stored(array, row + 1, accept, x)
         return Record(
-            _put(self.steps, row, accept, numbers),
-            _put(self.turns, count, event, turn),
-            jax.tree.map(keep, self.kept, begun),
+            stored(self.steps, row, accept, numbers),
+            stored(self.changed, count, event, pack(y)),
+            jax.tree.map(keep, self.kept, following),
         )
 
-    def step(self, i: Int[Array, ""], number: Int[Array, ""]) -> tuple[Array, Array]:
-        """A step, and what was recorded of its event, the one of that number."""
-        return self.steps[i], self.turns[number]
+    def step(self, i: Int[Array, ""], count: Int[Array, ""]) -> "Taken":
+        """A step, before which there were so many events."""
+        place: Callable[[Array], Array] = lambda x: x[i]
+        end: Callable[[Array], Array] = lambda x: x[i + 1]
+        begun, after = jax.tree.map(place, self.kept), jax.tree.map(end, self.kept.y)
+        row = self.steps[i]
+        changed = unpack(self.changed[count], after)
+        return Taken(row, begun, picked(row[KIND] >= 0, changed, after))
 
     @property
     def length(self) -> Array:
@@ -177,74 +181,163 @@ class Record(NamedTuple):
         return jnp.sum(~jnp.isnan(self.steps[:, _END]))
 
 
-def turning(
-    motion: Motion, at: Place, t: Float[Array, ""], end: Step, kind: Int[Array, ""]
-) -> Array:
-    """How an event's time follows what it depends on, then the rates there.
+class Taken(NamedTuple):
+    """A recorded step.
 
-    Its value [s per unit]; of a slip that ends, the slip itself [s per m/s], shape
-    (3,), and its last direction [1], shape (3,). With them the time moves by one Newton
-    step, of value zero; not where the event only grazes its zero. They are constants to
-    a first derivative.
-
-    The rates are those by which the step itself follows its end: as a slip ends its
-    direction may turn without end, ever more slowly, and its own rates would not fit
-    its tangents.
+    Attributes:
+        row: Of the record.
+        begun: Where it began.
+        y: State at its end, before an event changes it.
     """
-    mode, direction = at.mode, at.direction
 
-    def ended(t: Float[Array, ""]) -> tuple[Float[Array, "2"], HybridState]:
-        step = motion.stepped(mode, direction, at.t, t, at.y)
-        return step.values, step.y
+    row: Float[Array, "5"]
+    begun: Place
+    y: HybridState
 
-    of_values, rates = jvp(ended, (t,), (jnp.ones_like(t),))[1]
-    slope = of_values[kind]
-    inverse = 1.0 / jnp.where(slope == 0.0, 1.0, slope)
-    grazes = (slope == 0.0) | (jnp.abs(end.values[kind] * inverse) > t - at.t)
-    slides, a = motion.ends_slip(mode, kind), rates.slip
-    squared = dot(a, a)
-    squared = jnp.where(squared > 0.0, squared, 1.0)
-    none = jnp.zeros_like(direction)
-    inverse = jnp.where(grazes | slides, 0.0, inverse)
-    way = jnp.where(slides, a / squared, none)
-    s = jnp.where(slides, -a / jnp.sqrt(squared), none)
-    return jnp.concatenate([inverse[None], way, s, pack(rates)])
+    @property
+    def kind(self) -> Int[Array, ""]:
+        """Which event it ended on; -1: none."""
+        return self.row[KIND].astype(int)
+
+    @property
+    def number(self) -> Int[Array, ""]:
+        """Where its value is among all events'; anywhere, if there was none."""
+        return jnp.maximum(self.kind, 0)
+
+    @property
+    def output(self) -> Int[Array, ""]:
+        """Which output it ended on; 0: none."""
+        return self.row[OUTPUT].astype(int)
+
+    def ends(self, times: Float[Array, " T"]) -> Float[Array, ""]:
+        """When it ends [s].
+
+        An output's time moves the end of its step, which may be one number before it.
+        """
+        asked = times[self.output]
+        moved = asked - jax.lax.stop_gradient(asked)
+        return jnp.where(self.output > 0, self.row[_END] + moved, self.row[_END])
+
+    def at_end(
+        self,
+        motion: Motion,
+        direction: Float[Array, "3"],
+        t: Float[Array, ""],
+        end: Float[Array, " n"],
+        last: Seen,
+        way: Float[Array, "3"],
+        cond: Cond = plain_cond,
+    ) -> EndOf:
+        """What the end of the step is, before an event changes it.
+
+        Args:
+            motion: Rates and events.
+            direction: Of the slip, where the step began.
+            t: When it ends [s].
+            end: The state there, as the stages led to it, in one array.
+            last: What is seen there.
+            way: Last direction of a slip that ends.
+            cond: As :func:`plain_cond`: branches that take all that they depend on.
+        """
+        mode, like = self.begun.mode, self.begun.y
+        values, y = motion.with_gap(mode, t, unpack(end, like), last.values, cond)
+        ends = motion.ends_slip(mode, self.kind)
+        fast = motion.has_begun(mode, direction, y, ends)
+        s = jnp.where(fast, last.way, way)
+        straight: _Turned = lambda motion, t, y, s, fast: motion.straightened(
+            s, t, y, fast
+        )
+        as_it_is: _Turned = lambda motion, t, y, s, fast: y
+        both = straight, as_it_is
+        return values, y, cond((motion, t, y, s, fast), fast | ends, *both)
+
+    def behind(
+        self,
+        motion: Motion,
+        direction: Float[Array, "3"],
+        t: Float[Array, ""],
+        y: HybridState,
+        cond: Cond = plain_cond,
+    ) -> tuple[Place, Place]:
+        """Where the next step begins, and what this one shows.
+
+        Args:
+            motion: Rates and events.
+            direction: Of the slip, where the step began.
+            t: When it ends [s].
+            y: State there, before an event changes it.
+            cond: As :func:`plain_cond`: branches that take all that they depend on.
+        """
+        mode, kind = self.begun.mode, self.kind
+
+        def changed(
+            motion: Motion,
+            t: Float[Array, ""],
+            y: HybridState,
+            direction: Float[Array, "3"],
+            mode: Int[Array, ""],
+            kind: Int[Array, ""],
+        ) -> Begun:
+            return motion.changed(mode, kind, direction, t, y)
+
+        def same(
+            motion: Motion,
+            t: Float[Array, ""],
+            y: HybridState,
+            direction: Float[Array, "3"],
+            mode: Int[Array, ""],
+            kind: Int[Array, ""],
+        ) -> Begun:
+            return mode, direction, y
+
+        known = motion, t, y, direction, mode, kind
+        mode, direction, y = cond(known, kind >= 0, changed, same)
+        shown = Place(t, y, mode, motion.along(mode, direction, y))
+        end, begin = self.row[_END], self.row[_BEGIN]
+        return shown._replace(t=jnp.where(begin == end, t, begin)), shown
+
+    def moved(
+        self, motion: Motion, slope: Float[Array, ""], slip: Float[Array, "3"]
+    ) -> "Moved":
+        """How an event's time follows what it depends on: by one Newton step.
+
+        Its value is zero: not where the event only grazes its zero. Constants to a
+        first derivative.
+
+        Args:
+            motion: Rates and events.
+            slope: By which the event's value follows the step's end [1/s].
+            slip: By which the slip does [m/s^2].
+        """
+        length, slides = self.row[_END] - self.begun.t, self.slides(motion)
+        inverse = 1.0 / not_zero(slope)
+        grazes = (slope == 0.0) | (jnp.abs(self.row[_VALUE] * inverse) > length)
+        inverse = jnp.where((self.kind < 0) | grazes | slides, 0.0, inverse)
+        squared = not_zero(dot(slip, slip))
+        none = jnp.zeros_like(slip)
+        return Moved(
+            inverse,
+            jnp.where(slides, slip / squared, none),
+            jnp.where(slides, -slip / jnp.sqrt(squared), none),
+        )
+
+    def slides(self, motion: Motion) -> Bool[Array, ""]:
+        """Whether its event is the end of a slip."""
+        return motion.ends_slip(self.begun.mode, self.kind)
 
 
-def replayed(
-    motion: Motion,
-    mode: Int[Array, ""],
-    y: HybridState,
-    times: Float[Array, " T"],
-    record: Record,
-) -> tuple[Path, Float[Array, ""], ModedState]:
-    """A recorded run once more, for its tangents.
+class Moved(NamedTuple):
+    """How an event's time moves: against what.
 
-    Args:
-        motion: Rates and events; differentiable.
-        mode: At the first time.
-        y: State at the first time; differentiable.
-        times: Output times [s]; differentiable.
-        record: Of the accepted steps.
-
-    Returns:
-        Path, time and state.
+    Attributes:
+        value: Of its own value [s per unit].
+        slip: Of a slip that ends, itself [s per m/s].
+        way: Its last direction [1].
     """
-    start = begun(motion, mode, y, times)
-    path = Path.empty(start.moded, times, motion.modes.switches)
 
-    def one(carry: _Replay) -> _Replay:
-        i, place, path = carry
-        row, turn = record.step(i, path.switches.count)
-        end, shown = _stepped(motion, times, place, row, turn)
-        event = row[KIND] >= 0
-        path = path.after(row[OUTPUT].astype(int), event, place.mode, *shown)
-        return i + 1, end, path
-
-    more: Callable[[_Replay], Array] = lambda carry: carry[0] < record.length
-    carry = jnp.asarray(0), start, path
-    _, place, path = jax.lax.while_loop(more, one, carry)
-    return path, place.t, place.moded
+    value: Float[Array, ""]
+    slip: Float[Array, "3"]
+    way: Float[Array, "3"]
 
 
 def begun(
@@ -253,98 +346,3 @@ def begun(
     """Where a run is at its first time."""
     mode, direction, y = motion.begun(mode, times[0], y)
     return Place(times[0], y, mode, direction)
-
-
-def landed(times: Float[Array, " T"], row: Float[Array, "4"]) -> Array:
-    """When a recorded step ends.
-
-    An output's time moves the end of its step, which may be one number before it.
-    """
-    end, output = row[_END], row[OUTPUT]
-    asked = times[output.astype(int)]
-    moved = asked - jax.lax.stop_gradient(asked)
-    return jnp.where(output > 0, end + moved, end)
-
-
-def _stepped(
-    motion: Motion,
-    times: Float[Array, " T"],
-    place: Place,
-    row: Float[Array, "4"],
-    turn: Float[Array, " m"],
-) -> tuple[Place, Place]:
-    """Behind one step: where the next one begins, and what this one shows."""
-    t, y, mode, direction = place
-    ends = landed(times, row)
-    _, end, _, last = motion.stages(mode, direction, t, ends, y)
-    return behind(motion, place, row, turn, ends, end, last)
-
-
-def behind(
-    motion: Motion,
-    place: Place,
-    row: Float[Array, "4"],
-    turn: Float[Array, " m"],
-    t: Float[Array, ""],
-    end: Float[Array, " n"],
-    last: Seen,
-    cond: Cond = plain_cond,
-) -> tuple[Place, Place]:
-    """The same of a step whose stages are done.
-
-    Args:
-        motion: Rates and events.
-        place: Where the step began.
-        row: Of the record.
-        turn: What was recorded of its event.
-        t: When it ends [s].
-        end: Its state there, as the stages led to it, in one array.
-        last: What is seen there.
-        cond: As :func:`plain_cond`: branches that take all that they depend on.
-    """
-    _, y, mode, direction = place
-    begin, kind = row[_BEGIN], row[KIND].astype(int)
-    event = kind >= 0
-    values, y = motion.with_gap(mode, t, unpack(end, y), last.values, cond)
-    ends = event & motion.ends_slip(mode, kind)
-    fast = motion.has_begun(mode, direction, y, ends)
-    s = jnp.where(fast, last.way, turn[4:7])
-    straight: _Turned = lambda motion, t, y, s, fast: motion.straightened(s, t, y, fast)
-    as_it_is: _Turned = lambda motion, t, y, s, fast: y
-    y = cond((motion, t, y, s, fast), fast | ends, straight, as_it_is)
-
-    def passed(
-        motion: Motion,
-        t: Float[Array, ""],
-        y: HybridState,
-        values: Float[Array, "2"],
-        direction: Float[Array, "3"],
-        mode: Int[Array, ""],
-        kind: Int[Array, ""],
-        turn: Float[Array, " m"],
-    ) -> _After:
-        inverse, way, rates = turn[0], turn[1:4], turn[7:]
-        value, slip = values[kind], y.slip
-        shift = -(value - jax.lax.stop_gradient(value)) * inverse
-        shift = shift - dot(slip - jax.lax.stop_gradient(slip), way)
-        moved = unpack(pack(y) + shift * rates, y)
-        t = t + shift
-        after, direction, y = motion.changed(mode, kind, direction, t, moved)
-        return t, after, direction, y
-
-    def stays(
-        motion: Motion,
-        t: Float[Array, ""],
-        y: HybridState,
-        values: Float[Array, "2"],
-        direction: Float[Array, "3"],
-        mode: Int[Array, ""],
-        kind: Int[Array, ""],
-        turn: Float[Array, " m"],
-    ) -> _After:
-        return t, mode, direction, y
-
-    known = motion, t, y, values, direction, mode, kind, turn
-    t, mode, direction, y = cond(known, event, passed, stays)
-    shown = Place(t, y, mode, motion.along(mode, direction, y))
-    return shown._replace(t=jnp.where(begin == row[_END], t, begin)), shown
