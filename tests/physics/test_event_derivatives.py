@@ -98,6 +98,22 @@ def lifts_and_lands(x, rubs=True):
     return rk.simulate(scene, start, [0.0, 0.32], modes=modes, rtol=1e-11)
 
 
+def bounces(x):
+    """An ellipsoid let go in a bowl: of three impacts the last one grips, slowly."""
+    mu, e, spin, height, across = x
+    body = rk.Body(
+        1.2, np.diag([0.004, 0.005, 0.003]), rk.Ellipsoid((0.1, 0.08, across))
+    )
+    bowl = rk.Graph(lambda x, y: 0.35 * x * x + 0.45 * y * y)
+    scene = rk.Scene(body, rk.Base(bowl))
+    turn = np.array([0.9, 0.3, 0.2, 0.1]) / np.sqrt(0.95)
+    turning = jnp.stack([spin, 1.0 + 0.0 * spin, 2.0 + 0.0 * spin])
+    place = jnp.stack([0.1 + 0.0 * height, 0.05 + 0.0 * height, height])
+    start = rk.release(scene, turn, turning, place, (0.3, 0.1, -0.5))
+    modes = rk.Modes(friction=mu, restitution=e, switches=8)
+    return rk.simulate(scene, start, [0.0, 0.55], modes=modes, rtol=1e-11)
+
+
 class Case(NamedTuple):
     """A run by some numbers, those numbers, and what changes first."""
 
@@ -118,6 +134,7 @@ CASES = {
     "lift-off and landing": Case(
         lifts_and_lands, (0.3, 0.6, 32.0, 2.0, 0.12), ((FLY, FLY),)
     ),
+    "bounces in a bowl": Case(bounces, (0.3, 0.6, 2.0, 0.35, 0.06), ((FLY, FLY),)),
     "landing without slip": Case(
         functools.partial(lifts_and_lands, rubs=False),
         (0.3, 0.6, 32.0, 2.0, 0.12),

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.linear_call import Linear, linear_call, shapes_of
@@ -22,9 +23,8 @@ from .impact_slip import Left, Sliding, bendable, slid, slip_of, turning
 # What stands for a body that never slips: above 1 / eps, where G_nn + mu G_nt rounds to
 # the latter, in float32, too
 NEVER_SLIPS = 1e16
-# Slip times the turn of its direction, over the speed of the impact: what a straight
-# way leaves out from there
-_STRAIGHT = 1e-10
+# What a straight way may leave out, over the speed of the impact; float32 rounds more
+_STRAIGHT, _ROUNDINGS = 1e-10, 8
 
 
 class Impact(NamedTuple):
@@ -84,11 +84,12 @@ def _collided_jvp(
 
 
 def _pushed(residuals: Sequence[Array], tangents: Sequence[Array]) -> list[Array]:
-    """Change of an impact along a change of its inputs."""
+    """Change of an impact along a change of its inputs; NaN where it is lost."""
     inputs, rest_speed = residuals
     # a way that is straight by symmetry has neighbours that turn
     process: Callable[[Array], Array] = lambda x: _process_of(x, rest_speed, bendable)
-    return [jax.jvp(process, (inputs,), tuple(tangents))[1]]
+    found, moved = jax.jvp(process, (inputs,), tuple(tangents))
+    return [jnp.where(jnp.isnan(found), jnp.nan, moved)]
 
 
 def _pulled(residuals: Sequence[Array], cotangents: Sequence[Array]) -> list[Array]:
@@ -122,10 +123,12 @@ def _process(
     zero, none = jnp.zeros_like(mu), jnp.asarray(0)
     y = jnp.concatenate([velocity, jnp.zeros(4, mu.dtype)])
     comes = velocity[2] < 0.0
-    least = _STRAIGHT * jnp.where(comes, safe_norm(velocity), jnp.inf)
-    begun = Sliding(y, zero, zero, zero, none, zero, y, none)
+    speed = safe_norm(velocity)
+    straight = max(_STRAIGHT, _ROUNDINGS * float(np.finfo(velocity.dtype).eps))
+    least = straight * jnp.where(comes, speed, jnp.inf)
+    begun = Sliding(y, zero, zero, zero, none, zero, y, zero + 1.0, speed, none)
     c = slid(G, mu, e, begun, left, least)
-    lost = comes & (c.phase < 2) & (left(G, mu, c.y) > least)
+    lost = comes & (c.phase < 2) & (left(G, mu, c) > least)
     now = _Now(c.y[:3], c.y[3:6], c.y[6], c.phase, c.goal, c.closed[:6])
     slip, way = slip_of(now.velocity)
     push = jnp.append(-mu * way, jnp.ones_like(mu))

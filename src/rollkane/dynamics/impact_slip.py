@@ -15,13 +15,15 @@ from jaxtyping import Array, Bool, Float
 
 from ..codegen.tableau import weights_of
 from ..codegen.tracing import traced_once
-from ..geometry.small_linear import matvec, safe_norm
+from ..geometry.small_linear import dot, matvec, safe_norm
 
 # A step of the method of order 8, times the fastest rate of the slip's direction:
 # 0.5^9 / 9! = 5e-9 at most, of which its error constant leaves a hundredth
 _STEP = 0.5
 _CLOSE = 500  # roundings, of an end's equation: its Newton step is below one
-_TURNS = 400  # 23 / 0.5 for slip and turn to fade, as many to turn round, two searches
+# Slip times turn, and how that changes with the body, fade by mu A_tt (docs/theory.md,
+# (8.9)): 23 / 0.5 turns each at the fastest rate, and a fortieth of it is allowed for
+_TURNS = 4000
 
 
 class Sliding(NamedTuple):
@@ -37,6 +39,8 @@ class Sliding(NamedTuple):
     phase: Array  # 0: compression; 1: restitution; 2: ended
     goal: Array  # of W in restitution
     closed: Float[Array, "7"]  # where compression ended
+    bent: Array  # at most, what is left of neighbours' turns since its way is straight
+    speed: Array  # of the impact [m/s]
     turns: Array
 
 
@@ -78,29 +82,75 @@ def _weighted(weights: tuple[float, ...], x: list[Array]) -> Array:
     return sum(terms[1:], terms[0])
 
 
-def turning(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
-) -> Float[Array, ""]:
-    """Slip [m/s], times how fast it turns over the fastest that it could.
+def turning(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
+    """What the slip's turn may yet change of the velocity [m/s], about.
 
     Zero without friction: the velocity is then linear in the normal impulse.
     """
-    slip, way = slip_of(y)
-    pull = G[:2, 2] - mu * matvec(G[:2, :2], way)
-    turning = jnp.abs(way[0] * pull[1] - way[1] * pull[0]) / _fastest(G, mu)
-    return jnp.where(mu > 0.0, slip * turning, 0.0)
+    return jnp.where(mu > 0.0, _ahead(G, mu, c) * _angle(G, mu, c), 0.0)
 
 
-def bendable(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], y: Float[Array, "7"]
-) -> Float[Array, ""]:
-    """Slip [m/s], while changes of the body or of the friction may turn it."""
+def bendable(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
+    """What neighbours' turns, of other body or friction, may [m/s].
+
+    They settle as the way itself does, often faster than the slip ends.
+    """
     turns = (mu > 0.0) | (safe_norm(G[:2, 2]) > 0.0)
-    return jnp.where(turns, safe_norm(y[:2]), 0.0)
+    slip = jnp.where(turns, _ahead(G, mu, c), 0.0)
+    return jnp.maximum(slip * c.bent, turning(G, mu, c))
 
 
-# What is left [m/s] of a slip that does not go straight, of response, friction, state.
-Left: TypeAlias = Callable[[Array, Array, Array], Array]
+def _angle(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding
+) -> Float[Array, ""]:
+    """By which a slip turns from here, about: its turn over the rate of settling.
+
+    Slip times turn fades by ``mu A`` across the slip also where that is more.
+    """
+    _, way = slip_of(c.y)
+    across = _across(way)
+    fades = jnp.maximum(_settling(G, mu, way), mu * _quadratic(G, across))
+    fades = jnp.where(fades > 0.0, fades, _fastest(G, mu))
+    return jnp.abs(dot(across, _pull(G, mu, way))) / fades
+
+
+def _ahead(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
+    """What an angle of its direction may yet change of the velocity [m/s].
+
+    That goes with the impulse until the slip ends, at most to that of the impact.
+    """
+    slip, way = slip_of(c.y)
+    slows, fastest = -dot(way, _pull(G, mu, way)), _fastest(G, mu)
+    ends = slows * c.speed > fastest * slip
+    until = fastest * slip / jnp.where(ends, slows, 1.0)
+    return jnp.where(ends | (slip == 0.0), until, jnp.maximum(slip, c.speed))
+
+
+def _across(way: Float[Array, "2"]) -> Float[Array, "2"]:
+    return jnp.stack([-way[1], way[0]])
+
+
+def _pull(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], way: Float[Array, "2"]
+) -> Float[Array, "2"]:
+    """Change of the slip for one newton second of normal impulse [m/s]."""
+    return G[:2, 2] - mu * matvec(G[:2, :2], way)
+
+
+def _settling(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], way: Float[Array, "2"]
+) -> Float[Array, ""]:
+    """Rate at which the direction of a slip that goes straight settles."""
+    return dot(way, _pull(G, mu, way)) + mu * _quadratic(G, _across(way))
+
+
+def _quadratic(G: Float[Array, "3 3"], way: Float[Array, "2"]) -> Float[Array, ""]:
+    """``A`` along a direction."""
+    return dot(way, matvec(G[:2, :2], way))
+
+
+# What a straight way would leave out [m/s], of response, friction and process.
+Left: TypeAlias = Callable[[Array, Array, Sliding], Array]
 
 
 def slip_of(
@@ -130,7 +180,7 @@ def slid(
     eps = np.finfo(G.dtype).eps
 
     def going(c: Sliding) -> Bool[Array, ""]:
-        turns = left(G, mu, c.y) > least
+        turns = left(G, mu, c) > least
         return turns & (c.phase < 2) & (c.turns < _TURNS)
 
     def turn(c: Sliding) -> Sliding:
@@ -148,15 +198,19 @@ def slid(
         # a bracket that has no number left between its sides has found it, too
         ends |= searching & (high - low <= 4.0 * eps * high)
         steps = ~searching & ~ends
+        over = steps | ends
         tried = c.trial + newton
         inside = (tried > low) & (tried < high)
         tried = jnp.where(inside, tried, 0.5 * (low + high))
         at_end = y + newton * rates  # value zero: an end's derivative
         moved = jnp.where(ends, at_end, jnp.where(steps, y, c.y))
         zero = jnp.zeros_like(c.low)
-        over = steps | ends
         closes = ends & compresses
         goal = (1.0 - e * e) * at_end[6]
+        # exp(-x) is less than this share
+        x = jnp.maximum(_settling(G, mu, slip_of(c.y)[1]) * c.trial, 0.0)
+        settles = over & (_ahead(G, mu, c) * _angle(G, mu, c) <= least)
+        share = jnp.where(settles, 1.0 / (1.0 + x + 0.5 * x * x), 1.0)
         # e = 0 gives nothing back
         phase = jnp.where(ends, c.phase + 1, c.phase)
         phase = jnp.where(closes & (e == 0.0), 2, phase)
@@ -168,6 +222,8 @@ def slid(
             phase=phase,
             goal=jnp.where(closes, goal, c.goal),
             closed=jnp.where(closes, at_end, c.closed),
+            bent=c.bent * jax.lax.stop_gradient(share),
+            speed=c.speed,
             turns=c.turns + 1,
         )
 
