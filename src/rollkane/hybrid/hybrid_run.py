@@ -2,7 +2,7 @@
 
 One loop of steps for all modes: an accepted step after which an event function is
 negative is taken back and shortened until it ends on the zero, by a bracketing secant;
-there the mode changes. Derivatives are those of the recorded steps, replayed.
+there the mode changes. Derivatives follow the recorded steps.
 """
 
 import dataclasses

@@ -51,8 +51,8 @@ def pulled_back(
         varied: Tree of floats.
         mode: At the first time.
         record: Of the accepted steps.
-        cotangents: Of path, time and state, as ``mode_replay.replayed`` gives them;
-            those of integers are not looked at.
+        cotangents: Of path, time and state, as a run leaves them; those of integers are
+            not looked at.
     """
     (saved, _, switches), t, last = cotangents
 
@@ -138,8 +138,8 @@ def _through_stages(
 ) -> _OfStep:
     """Cotangents of a step up to where an event changes its state.
 
-    An event's time moves, and with it the step's end. So of an event three to four
-    turns before the last ask how the end's time moves what is looked at there.
+    An event's time moves, and with it the step's end. So of an event two turns before
+    the last, of the end of a slip four, ask how that moves what is looked at there.
 
     Args:
         make: What the run is made of.
