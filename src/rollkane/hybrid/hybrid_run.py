@@ -245,7 +245,7 @@ class _Runs(NamedTuple):
         atol = atol * jnp.where(by_size, sizes, 1.0)
         assert order is not None
         how = rtol, atol, order, self.allowed, events
-        loop = Loop(motion, self.times(inputs), where, reach, *how)
+        loop = Loop(motion, times, where, reach, *how)
         return loop, jnp.asarray(self.mode), self.start(inputs)
 
     def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
