@@ -23,7 +23,8 @@ from .impact_slip import Left, Sliding, bendable, slid, slip_of, turning
 # What stands for a body that never slips: above 1 / eps, where G_nn + mu G_nt rounds to
 # the latter, in float32, too
 NEVER_SLIPS = 1e16
-# What a straight way may leave out, over the speed of the impact; float32 rounds more
+# What a straight way may leave out, over the speed of the impact. In float32 rounding
+# is more than that: of the eight products and sums that the slip's turn is made of
 _STRAIGHT, _ROUNDINGS = 1e-10, 8
 
 
@@ -126,9 +127,9 @@ def _process(
     speed = safe_norm(velocity)
     straight = max(_STRAIGHT, _ROUNDINGS * float(np.finfo(velocity.dtype).eps))
     least = straight * jnp.where(comes, speed, jnp.inf)
-    begun = Sliding(y, zero, zero, zero, none, zero, y, zero + 1.0, speed, none)
-    c = slid(G, mu, e, begun, left, least)
-    lost = comes & (c.phase < 2) & (left(G, mu, c) > least)
+    begun = Sliding(y, zero, zero, zero, none, zero, y, zero + 1.0, none)
+    c = slid(G, mu, e, begun, left, speed, least)
+    lost = comes & (c.phase < 2) & (left(G, mu, c, speed) > least)
     now = _Now(c.y[:3], c.y[3:6], c.y[6], c.phase, c.goal, c.closed[:6])
     slip, way = slip_of(now.velocity)
     push = jnp.append(-mu * way, jnp.ones_like(mu))

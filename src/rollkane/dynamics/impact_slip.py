@@ -40,7 +40,6 @@ class Sliding(NamedTuple):
     goal: Array  # of W in restitution
     closed: Float[Array, "7"]  # where compression ended
     bent: Array  # at most, what is left of neighbours' turns since its way is straight
-    speed: Array  # of the impact [m/s]
     turns: Array
 
 
@@ -82,75 +81,68 @@ def _weighted(weights: tuple[float, ...], x: list[Array]) -> Array:
     return sum(terms[1:], terms[0])
 
 
-def turning(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
-    """What the slip's turn may yet change of the velocity [m/s], about.
+class Course(NamedTuple):
+    """How straight a slip goes.
+
+    Attributes:
+        change: What its own turn may yet change of the velocity, about [m/s].
+        ahead: What any angle of its direction may: it goes with the impulse until the
+            slip ends, at most to that of the impact [m/s].
+        settles: Rate at which its direction settles, where it goes straight.
+    """
+
+    change: Float[Array, ""]
+    ahead: Float[Array, ""]
+    settles: Float[Array, ""]
+
+    @staticmethod
+    def of(
+        G: Float[Array, "3 3"],
+        mu: Float[Array, ""],
+        c: Sliding,
+        speed: Float[Array, ""],
+    ) -> "Course":
+        """Of a response, a friction, a process and the speed of the impact."""
+        slip, way = slip_of(c.y)
+        across = jnp.stack([-way[1], way[0]])
+        pull = G[:2, 2] - mu * matvec(G[:2, :2], way)  # of a newton second along n
+        # slip times turn fades by the friction across the slip, also as the slip slows
+        holds = mu * dot(across, matvec(G[:2, :2], across))
+        slows, fastest = -dot(way, pull), _fastest(G, mu)
+        settles = holds - slows
+        fades = jnp.maximum(settles, holds)
+        fades = jnp.where(fades > 0.0, fades, fastest)
+        ends = slows * speed > fastest * slip
+        until = fastest * slip / jnp.where(ends, slows, 1.0)
+        ahead = jnp.where(ends | (slip == 0.0), until, jnp.maximum(slip, speed))
+        return Course(ahead * jnp.abs(dot(across, pull)) / fades, ahead, settles)
+
+
+def turning(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding, speed: Float[Array, ""]
+) -> Float[Array, ""]:
+    """What the slip's turn may yet change of the velocity, about [m/s].
 
     Zero without friction: the velocity is then linear in the normal impulse.
     """
-    return jnp.where(mu > 0.0, _ahead(G, mu, c) * _angle(G, mu, c), 0.0)
+    return jnp.where(mu > 0.0, Course.of(G, mu, c, speed).change, 0.0)
 
 
-def bendable(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
-    """What neighbours' turns, of other body or friction, may [m/s].
+def bendable(
+    G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding, speed: Float[Array, ""]
+) -> Float[Array, ""]:
+    """What it may, and the turns of neighbours with other body or friction [m/s].
 
     They settle as the way itself does, often faster than the slip ends.
     """
+    course = Course.of(G, mu, c, speed)
     turns = (mu > 0.0) | (safe_norm(G[:2, 2]) > 0.0)
-    slip = jnp.where(turns, _ahead(G, mu, c), 0.0)
-    return jnp.maximum(slip * c.bent, turning(G, mu, c))
+    own = jnp.where(mu > 0.0, course.change, 0.0)
+    return jnp.maximum(jnp.where(turns, course.ahead * c.bent, 0.0), own)
 
 
-def _angle(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding
-) -> Float[Array, ""]:
-    """By which a slip turns from here, about: its turn over the rate of settling.
-
-    Slip times turn fades by ``mu A`` across the slip also where that is more.
-    """
-    _, way = slip_of(c.y)
-    across = _across(way)
-    fades = jnp.maximum(_settling(G, mu, way), mu * _quadratic(G, across))
-    fades = jnp.where(fades > 0.0, fades, _fastest(G, mu))
-    return jnp.abs(dot(across, _pull(G, mu, way))) / fades
-
-
-def _ahead(G: Float[Array, "3 3"], mu: Float[Array, ""], c: Sliding) -> Array:
-    """What an angle of its direction may yet change of the velocity [m/s].
-
-    That goes with the impulse until the slip ends, at most to that of the impact.
-    """
-    slip, way = slip_of(c.y)
-    slows, fastest = -dot(way, _pull(G, mu, way)), _fastest(G, mu)
-    ends = slows * c.speed > fastest * slip
-    until = fastest * slip / jnp.where(ends, slows, 1.0)
-    return jnp.where(ends | (slip == 0.0), until, jnp.maximum(slip, c.speed))
-
-
-def _across(way: Float[Array, "2"]) -> Float[Array, "2"]:
-    return jnp.stack([-way[1], way[0]])
-
-
-def _pull(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], way: Float[Array, "2"]
-) -> Float[Array, "2"]:
-    """Change of the slip for one newton second of normal impulse [m/s]."""
-    return G[:2, 2] - mu * matvec(G[:2, :2], way)
-
-
-def _settling(
-    G: Float[Array, "3 3"], mu: Float[Array, ""], way: Float[Array, "2"]
-) -> Float[Array, ""]:
-    """Rate at which the direction of a slip that goes straight settles."""
-    return dot(way, _pull(G, mu, way)) + mu * _quadratic(G, _across(way))
-
-
-def _quadratic(G: Float[Array, "3 3"], way: Float[Array, "2"]) -> Float[Array, ""]:
-    """``A`` along a direction."""
-    return dot(way, matvec(G[:2, :2], way))
-
-
-# What a straight way would leave out [m/s], of response, friction and process.
-Left: TypeAlias = Callable[[Array, Array, Sliding], Array]
+# What a straight way would leave out [m/s], of response, friction, process and speed.
+Left: TypeAlias = Callable[[Array, Array, Sliding, Array], Array]
 
 
 def slip_of(
@@ -173,6 +165,7 @@ def slid(
     e: Float[Array, ""],
     start: Sliding,
     left: Left,
+    speed: Float[Array, ""],
     least: Float[Array, ""],
 ) -> Sliding:
     """Until the impact has ended, or the slip goes straight: to its end, if any."""
@@ -180,7 +173,7 @@ def slid(
     eps = np.finfo(G.dtype).eps
 
     def going(c: Sliding) -> Bool[Array, ""]:
-        turns = left(G, mu, c) > least
+        turns = left(G, mu, c, speed) > least
         return turns & (c.phase < 2) & (c.turns < _TURNS)
 
     def turn(c: Sliding) -> Sliding:
@@ -207,10 +200,11 @@ def slid(
         zero = jnp.zeros_like(c.low)
         closes = ends & compresses
         goal = (1.0 - e * e) * at_end[6]
+        course = Course.of(G, mu, c, speed)
+        x = jnp.maximum(course.settles * c.trial, 0.0)
         # exp(-x) is less than this share
-        x = jnp.maximum(_settling(G, mu, slip_of(c.y)[1]) * c.trial, 0.0)
-        settles = over & (_ahead(G, mu, c) * _angle(G, mu, c) <= least)
-        share = jnp.where(settles, 1.0 / (1.0 + x + 0.5 * x * x), 1.0)
+        straight = over & (course.change <= least)
+        share = jnp.where(straight, 1.0 / (1.0 + x + 0.5 * x * x), 1.0)
         # e = 0 gives nothing back
         phase = jnp.where(ends, c.phase + 1, c.phase)
         phase = jnp.where(closes & (e == 0.0), 2, phase)
@@ -223,7 +217,6 @@ def slid(
             goal=jnp.where(closes, goal, c.goal),
             closed=jnp.where(closes, at_end, c.closed),
             bent=c.bent * jax.lax.stop_gradient(share),
-            speed=c.speed,
             turns=c.turns + 1,
         )
 

@@ -116,6 +116,8 @@ class Place(NamedTuple):
 EndOf: TypeAlias = tuple[Float[Array, "2"], HybridState, HybridState]
 # A state along the direction of its slip, or as it is.
 _Turned: TypeAlias = Callable[[Motion, Array, HybridState, Array, Array], HybridState]
+# What an event changes, or nothing.
+_Changed: TypeAlias = Callable[[Motion, Array, Array, Array, Array, HybridState], Begun]
 
 
 class Record(NamedTuple):
@@ -270,27 +272,15 @@ class Taken(NamedTuple):
         """
         mode, kind = self.begun.mode, self.kind
 
-        def changed(
-            motion: Motion,
-            t: Float[Array, ""],
-            y: HybridState,
-            direction: Float[Array, "3"],
-            mode: Int[Array, ""],
-            kind: Int[Array, ""],
-        ) -> Begun:
-            return motion.changed(mode, kind, direction, t, y)
-
-        def same(
-            motion: Motion,
-            t: Float[Array, ""],
-            y: HybridState,
-            direction: Float[Array, "3"],
-            mode: Int[Array, ""],
-            kind: Int[Array, ""],
-        ) -> Begun:
-            return mode, direction, y
-
-        known = motion, t, y, direction, mode, kind
+        changed: _Changed = lambda motion, mode, kind, direction, t, y: motion.changed(
+            mode, kind, direction, t, y
+        )
+        same: _Changed = lambda motion, mode, kind, direction, t, y: (
+            mode,
+            direction,
+            y,
+        )
+        known = motion, mode, kind, direction, t, y
         mode, direction, y = cond(known, kind >= 0, changed, same)
         shown = Place(t, y, mode, motion.along(mode, direction, y))
         end, begin = self.row[_END], self.row[_BEGIN]

@@ -137,6 +137,8 @@ class Revolution(AbstractPointSurface):
             x, y, z = components(u / norm(u))
             cosine, sine, across = _polar(x, y)
             rate = (last - first) / np.pi
+            # the profile is of this angle: a quarter of a step in C (0.5 us of
+            # 2.4, an egg by Dopri8), which only another parameter would spare
             s = first + rate * jnp.arctan2(across, z)
             edge = jnp.where(z < 0, -rate, rate)
             return _OnMeridian(s, (x, y), cosine, sine, across, rate, edge)
