@@ -293,7 +293,13 @@ def test_derivatives_go_through_the_ensemble(method):
 
 @pytest.mark.slow
 def test_runs_with_modes_are_native_each_by_itself():
-    """A ball that may bounce is where simulate has it."""
+    """A ball that may bounce is where simulate has it, in as many steps.
+
+    To rounding: an ensemble's program is for many lanes, simulate's for one, and the
+    compiler contracts products and sums in each as it likes (without that they are
+    equal bit by bit). Thirty steps of twelve stages with ten roundings each:
+    3,600 x 2.2e-16 of 1.5 m/s, at most.
+    """
     scene = rk.Scene(rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1)))
     thrown = lambda height: rk.release(
         *(scene, [1.0, 0.0, 0.0, 0.0], [0.0, 5.0, 0.0]),
@@ -308,8 +314,10 @@ def test_runs_with_modes_are_native_each_by_itself():
     for i, height in enumerate(heights):
         one = rk.simulate(scene, thrown(height), times, modes=modes)
         assert one.switches.count > 0
-        np.testing.assert_array_equal(
-            runs.state.parts.velocity[i], one.state.parts.velocity
+        assert runs.steps[i] == one.steps <= 30
+        np.testing.assert_allclose(
+            *(runs.state.parts.velocity[i], one.state.parts.velocity),
+            **{"rtol": 0.0, "atol": 1.2e-12},
         )
         if i in (0, 4):
             # contact_on_base is NaN in flight, in both
