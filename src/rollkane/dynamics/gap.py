@@ -64,7 +64,7 @@ def nearest(
 
 
 def _searched(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: int = _NEWTON
+    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: Any = _NEWTON
 ) -> tuple[_Places, Float[Array, ""]]:
     """The nearest points, and their gap, NaN if the search did not converge."""
     size = 1.0 + norm(state.position)
@@ -119,11 +119,14 @@ def nearest_anywhere(
             on_body = body.locate(on_body_axes(*fixed, place))
         return eqx.tree_at(_places, fixed[2], (base.locate(place), on_body))
 
-    def near(place: Float[Array, "3"]) -> tuple[_Places, Array]:
-        return _searched(*fixed[:2], begun(place))
+    def near(low: tuple[Array, Float[Array, "3"]]) -> tuple[_Places, Array]:
+        # no step, which finds nothing, from where there is no low sample
+        gap, place = low
+        steps = jnp.where(jnp.isfinite(gap), _NEWTON, 0)
+        return _searched(*fixed[:2], begun(place), steps)
 
     # one after the other: a program of one is compiled in a fraction of the time
-    closest, found = cast("tuple[_Places, Array]", jax.lax.map(near, starts))
+    closest, found = cast("tuple[_Places, Array]", jax.lax.map(near, (gaps, starts)))
     # far from an uneven base Newton's method may go astray: there the samples will do
     size = reach_of(body, gaps.dtype)
     strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))

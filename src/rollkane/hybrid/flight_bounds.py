@@ -88,6 +88,17 @@ def doubt_in_flight(
     return Doubt(doubt.hides | (limit < 0.99), shorter, following)
 
 
+def rounding(y: HybridState, reach: Float[Array, ""]) -> Float[Array, ""]:
+    """Of a gap [m].
+
+    Args:
+        y: Where the body flies.
+        reach: Of it, from its origin [m].
+    """
+    size = norm(y.position) + reach
+    return _ROUNDINGS * np.finfo(size.dtype).eps * size
+
+
 def _inside(
     scene: Scene,
     nodes: Float[Array, " s"],
@@ -122,7 +133,5 @@ def _inside(
     off = unpack(largest_defect(nodes, ends, h * end.rates), at.y)
     turned = 2.0 * norm(off.orientation) / norm(at.y.orientation)
     wrong = norm(off.position) + turned * reach
-    size = norm(at.y.position) + reach
-    rounding = _ROUNDINGS * np.finfo(size.dtype).eps * size
-    doubt = in_flight(seen, rates, wrong, rounding)
+    doubt = in_flight(seen, rates, wrong, rounding(at.y, reach))
     return doubt, _SLACK * jnp.max(speeds)

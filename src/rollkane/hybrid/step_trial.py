@@ -23,7 +23,7 @@ from ..integration.step_control import Landings
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import Doubt, between, rate_at_end, stays_positive
 from .event_location import Bracket
-from .flight_bounds import doubt_in_flight
+from .flight_bounds import doubt_in_flight, rounding
 from .mode_rates import Step
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
@@ -176,6 +176,18 @@ class Trials(eqx.Module):
         fly = lambda: doubt_in_flight(scene, nodes, at, t1, end, gap, reach)
         return cast(Doubt, jax.lax.cond(quiet & flies, fly, lambda: doubt))
 
+    def least_value(self, c: Run) -> Array:
+        """The least of the events' values that is not behind an event.
+
+        A gap opens as the third power of time where the normal force has vanished: for
+        as long as it is rounding it may have either sign.
+        """
+        zero = jnp.zeros_like(c.place.t)
+        if self.reach is None:
+            return zero
+        opens = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
+        return jnp.where(opens, -rounding(c.place.y, self.reach), zero)
+
     def rate_of(self, at: Place, tried: Tried, kind: Int[Array, ""]) -> Array:
         """About how fast an event's value changes at the end of a step."""
         motion, end = self.motion, tried.end
@@ -198,7 +210,7 @@ class Trials(eqx.Module):
         known = jnp.isfinite(least)
         # an output right behind an event: too close for anything to happen between
         blinks = (tried.lands | c.looks) & (taken <= tiny) & (size <= 1.0)
-        negative = ~(least >= 0.0) & ~blinks
+        negative = ~(least >= self.least_value(c)) & ~blinks
         # where the contact ends, so does its grip: what counts is that it ends
         kind = jnp.where(share[1] <= _TOGETHER, 1, jnp.argmin(share))
         # right behind a change the values may be zero: a step that ends on a negative
