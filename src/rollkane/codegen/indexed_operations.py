@@ -199,9 +199,14 @@ def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list
     params, aval = equation.params, equation.outvars[0].aval
     numbers, rest = params["dimension_numbers"], x.shape[1:]
     many = indices.shape[:-1]
-    tail = tuple(range(len(many), len(many) + len(rest)))
-    plain = numbers.collapsed_slice_dims == (0,) and numbers.start_index_map == (0,)
+    # a row that was looked up as a slice keeps an axis of its own, of length one
+    first = len(many) + 1 - len(numbers.collapsed_slice_dims)
+    tail = tuple(range(len(many), first + len(rest)))
+    plain = numbers.collapsed_slice_dims in ((0,), ())
     plain &= not numbers.operand_batching_dims and numbers.offset_dims == tail
+    # where else a row begins does not matter: it is whole
+    clips = "CLIP" in str(params["mode"])
+    plain &= numbers.start_index_map == tuple(range(indices.shape[-1] if clips else 1))
     if not plain or tuple(params["slice_sizes"]) != (1, *rest):
         raise NotElementwiseError("a lookup of parts of rows")
     kind, filling = type_of(aval.dtype), None
@@ -211,14 +216,14 @@ def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list
         known = [isinstance(i, np.generic) for i in indices.reshape(-1)]
         if all(known) and filling is None:
             places = indices[..., 0].astype(int).clip(0, x.shape[0] - 1)
-            return [x[places]]
+            return [x[places].reshape(aval.shape)]
     x = walk.arrays.in_memory(x, kind)
     indices = walk.arrays.in_memory(indices, "whole")
     to = walk.arrays.new(aval.shape, kind)
     with walk.arrays.loops(aval.shape) as index:
         asked = walk.arrays.number_at(indices, (*index[: len(many)], 0))
         row = _clipped(walk, asked, x.shape[0] - 1)
-        value = x.at((_text(row), *index[len(many) :]))
+        value = x.at((_text(row), *index[first:]))
         if filling is not None:
             value = f"{asked.text} == {row.text} ? {value} : {in_c(filling).text}"
         walk.writer.line(f"{to.at(index)} = {value};")

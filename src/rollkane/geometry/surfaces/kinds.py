@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..local_geometry import LocalGeometry, from_chart, from_normal
 from ..rotations import tangent_pair
-from ..small_linear import norm, solve_2x2
+from ..small_linear import matmul, matvec, matvec_transposed, norm, solve_2x2
 from .abstract_surface import AbstractSurface
 from .directions import (
     SPHERE,
@@ -165,7 +165,8 @@ class AbstractPointSurface(AbstractSurface):
 
         def towards(target: Array) -> _Step:
             def gap(geometry: LocalGeometry) -> Array:
-                turn = geometry.frame[:, :2].T @ target  # that the normal still needs
+                # that the normal still needs
+                turn = matvec_transposed(geometry.frame[:, :2], target)
                 return _least_turn(-geometry.frame_rates, turn)
 
             return gap
@@ -205,7 +206,7 @@ class AbstractPointSurface(AbstractSurface):
         """Coordinates after one step of a search, which is cut to a length [m]."""
         geometry = self.geometry(u)
         x = step(geometry)
-        x = x / jnp.maximum(1.0, norm(geometry.lengths @ x) / longest)
+        x = x / jnp.maximum(1.0, norm(matvec(geometry.lengths, x)) / longest)
         x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
         return self.settled(u + self.coordinate_rates(u, geometry, x))
 
@@ -281,7 +282,8 @@ def _step_to(target: Float[Array, "3"]) -> _Step:
 
     def step(geometry: LocalGeometry) -> Array:
         offset = target - geometry.position
-        return solve_2x2(geometry.lengths, geometry.frame[:, :2].T @ offset)
+        across = matvec_transposed(geometry.frame[:, :2], offset)
+        return solve_2x2(geometry.lengths, across)
 
     return step
 
@@ -293,6 +295,7 @@ def _least_turn(
 
     A cylinder's generator keeps the normal: its point then stays where it was.
     """
-    square = matrix.T @ matrix
+    square = matmul(matrix.T, matrix)
     slack = 1e-14 * (square[0, 0] + square[1, 1])
-    return solve_2x2(square + slack * jnp.eye(2, dtype=turn.dtype), matrix.T @ turn)
+    pulled = matvec_transposed(matrix, turn)
+    return solve_2x2(square + slack * jnp.eye(2, dtype=turn.dtype), pulled)

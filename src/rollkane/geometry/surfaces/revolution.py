@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from ...validation.checks import flag
 from ...validation.user_functions import UserFunction, check_output
 from ..local_geometry import LocalGeometry, from_chart
-from ..small_linear import components, dot, norm
+from ..small_linear import components, dot, norm, sign
 from .directions import (
     SPHERE_SAMPLES,
     SPHERE_SPACING,
@@ -286,7 +286,7 @@ class Revolution(AbstractPointSurface):
         place, (r_1, z_1) = slope(s)
         away, up = components(target - place)
         out = self._side * (away * z_1 - up * r_1)
-        out = jnp.copysign(norm(target - place), out)
+        out = sign(out) * norm(target - place)
         closed = norm(places[0] - places[-1]) < 1e-6 * jnp.max(jnp.abs(places))
         beyond = (s < first) & (not self.poles[0]) | (s > last) & (not self.poles[1])
         return jnp.where(beyond & ~closed, jnp.inf, out)

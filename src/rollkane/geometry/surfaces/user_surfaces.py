@@ -20,7 +20,7 @@ from ..local_geometry import (
     travel,
 )
 from ..rotations import tangent_pair
-from ..small_linear import dot, inverse_sqrt, norm
+from ..small_linear import dot, inverse_sqrt, norm, sign
 from .directions import (
     SPHERE,
     SPHERE_SAMPLES,
@@ -238,7 +238,7 @@ class Parametric(AbstractPointSurface):
         """
         u, place = self.nearest(point)
         offset = point - place.position
-        out = jnp.copysign(norm(offset), dot(offset, place.normal))
+        out = sign(dot(offset, place.normal)) * norm(offset)
         if self.of_direction:
             return out
         beyond = jnp.asarray(False)
