@@ -135,7 +135,7 @@ class AbstractPointSurface(AbstractSurface):
             return self._advanced(u, step, longest), None
 
         def gap(u: Array) -> Array:
-            return norm(self.geometry(u).position - point)
+            return norm(self.point(u) - point)
 
         u, _ = jax.lax.scan(advance, seed, length=8)
         # far from a bent surface the steps do not converge
@@ -146,7 +146,7 @@ class AbstractPointSurface(AbstractSurface):
         seeds = jnp.asarray(self.samples(), dtype=point.dtype)
 
         def gap(u: Array) -> Array:
-            return norm(self.geometry(u).position - point)
+            return norm(self.point(u) - point)
 
         gaps = jax.vmap(gap)(seeds)
         return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
