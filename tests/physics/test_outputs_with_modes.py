@@ -1,0 +1,88 @@
+"""Random runs that roll, slip, fly and land, checked by their outputs alone."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import rollkane as rk
+
+from .. import outputs_alone
+from ..outputs_with_modes import (
+    FOUND,
+    RESIDUAL,
+    STEEP,
+    Place,
+    examined,
+    impact,
+    released,
+)
+
+LIMITS = {
+    # by the second run's steps; a slip that begins doubles it some times (8.5)
+    "changes at other times": 1e-9,
+    "depth in flight": 1e-9,  # m
+    "off the surfaces": 1e-9,  # m
+    "pull": 1e-6,  # N
+    "out of the cone": 1e-8,
+    "breakaway": STEEP,
+    "rolls out of the cone": STEEP,
+    "lift-off": 1e-4,  # N: a force of 100 N that vanishes within 1e-3 s
+    "slip's end": 1e-6,  # m/s
+    "impulse beside the contact": 1e-7,
+    "impulse's torque": 1e-7,
+}
+QUICK = [("rolling", "torus", "roller", "rest")]
+SLOW = [
+    ("rolling", "ellipsoid", "hills", "sway"),
+    ("rolling", "egg", "roller", "rest"),
+    ("rolling", "torus", "tyre", "rest"),
+    ("rolling", "torus", "bowl", "spin"),
+    ("rubber", "ball", "bowl", "sway"),
+    ("rolling", "ball", "ball", "spin"),
+    ("rolling", "ellipsoid", "tyre", "rock"),
+    ("rolling", "egg", "hills", "rest"),
+    ("rolling", "implicit", "ball", "rest"),
+    ("rubber", "ellipsoid", "plane", "rest"),
+    ("rolling", "ellipsoid", "funnel", "rest"),
+]
+
+
+def limit(name):
+    kind = name.split(",")[0]
+    if kind in ("Newton", "Euler", "turning", "slip", "friction", "power", "force"):
+        return RESIDUAL
+    return LIMITS.get(name, FOUND)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [*QUICK, *(pytest.param(c, marks=pytest.mark.slow) for c in SLOW)],
+    ids="-".join,
+)
+def test_runs_with_modes_obey_mechanics(case):
+    scene = outputs_alone.scene_of(*case)
+    base, changes = case[2], 0
+    for seed in range(6):
+        draw = np.random.default_rng([seed, 3])
+        mu, e = draw.uniform(0.05, 0.5), draw.uniform(0.0, 0.9)
+        hold = mu * draw.choice([1.0, 1.3])
+        modes = rk.Modes(friction=mu, static_friction=hold, restitution=e)
+        begin = outputs_alone.start_of if seed % 3 == 2 else released
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # contacts that pull, codes
+            start = begin(scene, base, seed)
+            run, found = examined(scene, start, Place(*case, modes))
+        changes += len(run.modes) - 1
+        wrong = {k: x for k, x in found.items() if not x < limit(k)}
+        assert not wrong, (seed, run.code, run.edges, run.modes, wrong)
+    assert changes >= 4
+
+
+def test_the_impact_that_is_compared_with_is_a_balls_by_hand():
+    """A ball that slips all the time, and one that grips."""
+    G = np.diag([3.5, 3.5, 1.0])
+    slips = impact(G, np.array([10.0, 0.0, -1.0]), 0.2, 0.5)
+    np.testing.assert_allclose(slips, [-0.2 * 1.5, 0.0, 1.5], rtol=1e-10, atol=1e-12)
+    grips = impact(G, np.array([0.1, 0.0, -1.0]), 0.2, 0.5)
+    np.testing.assert_allclose(grips, [-0.1 / 3.5, 0.0, 1.5], rtol=1e-9, atol=1e-12)
