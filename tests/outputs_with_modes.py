@@ -133,10 +133,13 @@ class Place(NamedTuple):
         A, o, dA, do = self.base_at(t)
         return do + dA @ A.T @ (place - o)
 
-    def normal(self, t: float, place: np.ndarray) -> np.ndarray:
-        """Out of the base, fixed axes."""
+    def normal(self, t: float, R, r, place: np.ndarray) -> np.ndarray:
+        """Out of the base, fixed axes; an edge's is that of the body."""
+        base, body = BASES[self.base][1], BODIES[self.body][1]
+        if base.edge:
+            return -R @ body.normal((R.T @ (place - r))[None])[0]
         A, o, *_ = self.base_at(t)
-        return A @ BASES[self.base][1].normal((A.T @ (place - o))[None])[0]
+        return A @ base.normal((A.T @ (place - o))[None])[0]
 
     def contact(self, t: float, on_base: np.ndarray) -> np.ndarray:
         A, o, *_ = self.base_at(t)
@@ -247,7 +250,7 @@ def _within(place: Place, out: dict, look: Look) -> dict[str, float]:
         found["force"] = np.abs(force).max()
         return found | {"Euler": np.abs(torque).max() / (0.1 * fast**2)}
     at = place.contact(t, out["contact_on_base"][4])
-    n = place.normal(t, at)
+    n = place.normal(t, R[4], r[4], at)
     torque -= np.cross(at - center[4], force)
     if place.law == "rubber" and look.mode == rk.Mode.ROLLING:
         torque -= (torque @ n) * n  # whatever it needs
@@ -286,7 +289,7 @@ def _everywhere(seen: Faults, place: Place, run: Ran) -> None:
             continue
         at = place.contact(t, run.out["contact_on_base"][k])
         seen.see("off the surfaces", np.abs(place.levels(t, R, r, at[None])).max())
-        press, along = _parts(run.out["contact_force"][k], place.normal(t, at))
+        press, along = _parts(run.out["contact_force"][k], place.normal(t, R, r, at))
         seen.see("pull", -press)
         if mode[k] == rk.Mode.ROLLING:
             seen.see("out of the cone", (along - held * press) / (1 + press))
@@ -315,7 +318,8 @@ def _changed(seen: Faults, place: Place, out: dict, look: Look) -> None:
 
     def forces(side: dict) -> tuple[float, float]:
         at = place.contact(t, side["contact_on_base"])
-        return _parts(side["contact_force"], place.normal(t, at))
+        r = side["position"]
+        return _parts(side["contact_force"], place.normal(t, R, r, at))
 
     if look.change == rk.Mode.FLYING:
         seen.see("lift-off", abs(forces(before)[0]))
@@ -341,17 +345,18 @@ def _landed(seen, place, moment, change, impulse, turn) -> None:
     seen.see("impulse's torque", abs(spin @ impulse) / size**2)
     way, foot = impulse / size, center + np.cross(impulse, spin) / size**2
     along = lambda s: foot + np.multiply.outer(s, way)
-    level = lambda s: float(place.levels(t, R, r, along(s)[None])[0][0])
+    cut = int(BODIES[place.body][1].edge)  # by the surface that it passes through
+    level = lambda s: float(place.levels(t, R, r, along(s)[None])[cut][0])
     tries = np.linspace(-1.0, 1.0, 4001)
-    values = place.levels(t, R, r, along(tries))[0]
+    values = place.levels(t, R, r, along(tries))[cut]
     cuts = np.flatnonzero(values[:-1] * values[1:] <= 0.0)
     found = [brentq(level, tries[k], tries[k + 1], xtol=1e-15) for k in cuts]
-    depths = [abs(place.levels(t, R, r, along(s)[None])[1][0]) for s in found]
+    depths = [abs(place.levels(t, R, r, along(s)[None])[1 - cut][0]) for s in found]
     seen.see("impulse beside the contact", min(depths, default=np.inf) * size)
     if not found:
         return
     at = along(found[int(np.argmin(depths))])
-    n, arm = place.normal(t, at), at - center
+    n, arm = place.normal(t, R, r, at), at - center
     moving = place.base_velocity(t, at)
     u, u_after = (
         side["velocity"] + np.cross(side["angular_velocity"], at - r) - moving
@@ -435,7 +440,9 @@ def released(scene: rk.Scene, base: str, seed: int, tries: int = 40) -> Any:
     draw = np.random.default_rng(seed)
     for _ in range(tries):
         at = np.array(BASES[base][2](*draw.uniform(-0.5, 0.5, 2)))
-        up = BASES[base][1].normal(at[None])[0] * draw.uniform(0.5, 0.8)
+        way = draw.normal(size=3)  # an edge has normals all round
+        up = way if BASES[base][1].edge else BASES[base][1].normal(at[None])[0]
+        up = up / np.linalg.norm(up) * draw.uniform(0.5, 0.8)
         q, spin = draw.normal(size=4), 3.0 * draw.normal(size=3)
         with contextlib.suppress(rk.FieldError):
             return rk.release(

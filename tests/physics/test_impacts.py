@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -251,6 +252,24 @@ STRAIGHT = [  # response, velocity, mu, e
     (IN_A_PLANE, (0.3, 0.0, -1.0), 0.9, 0.6),  # stops and sticks
     (IN_A_PLANE, (2.0, 0.7, -1.0), 0.0, 0.6),  # without friction
 ]
+
+
+def test_a_body_does_not_jump_to_where_it_is_hit():
+    """Where the nearest points are not those that touch, nothing is known behind."""
+    ball = rk.Body(1.0, 0.4e-2 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(ball, contact=rk.Slipping())
+    down = (0.3, 0.0, -1.0)
+    there = rk.release(scene, (1, 0, 0, 0), (0, 0, 0), (0.2, 0.1, 0.1), down)
+    numbers = [jnp.asarray(x) for x in (0.5, 0.3, SLOW)]
+    hits = jax.jit(lambda state: impact(scene, jnp.zeros(()), state, *numbers))
+    # a millionth of a metre above the plane; and beside the contact by as much
+    off = np.array([[0, 0, 0], [0, 0, 1e-6], [1e-6, 0, 0]])
+    for k, x in enumerate(off):
+        state = eqx.tree_at(lambda s: s.position, there, there.position + x)
+        found = hits(state)
+        known = np.isfinite(np.asarray(found.flying.velocity)).all()
+        assert known == (k == 0)
+        assert np.isfinite(np.asarray(found.touching.slip)).all() == known
 
 
 def test_neighbours_of_a_straight_slip_turn():

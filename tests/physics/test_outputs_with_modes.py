@@ -32,17 +32,20 @@ LIMITS = {
     "impulse beside the contact": 1e-7,
     "impulse's torque": 1e-7,
 }
-QUICK = [("rolling", "torus", "roller", "rest")]
+QUICK = [
+    ("rolling", "torus", "roller", "rest"),
+    ("rolling", "ball", "hoop", "rest"),
+]
 SLOW = [
     ("rolling", "ellipsoid", "hills", "sway"),
     ("rolling", "egg", "roller", "rest"),
     ("rolling", "torus", "tyre", "rest"),
+    ("rolling", "ring", "ball", "sway"),
+    ("rolling", "torus", "hoop", "rest"),
     ("rolling", "torus", "bowl", "spin"),
     ("rubber", "ball", "bowl", "sway"),
     ("rolling", "ball", "ball", "spin"),
     ("rolling", "ellipsoid", "tyre", "rock"),
-    ("rolling", "egg", "hills", "rest"),
-    ("rolling", "implicit", "ball", "rest"),
     ("rubber", "ellipsoid", "plane", "rest"),
     ("rolling", "ellipsoid", "funnel", "rest"),
 ]
@@ -76,7 +79,7 @@ def test_runs_with_modes_obey_mechanics(case):
         changes += len(run.modes) - 1
         wrong = {k: x for k, x in found.items() if not x < limit(k)}
         assert not wrong, (seed, run.code, run.edges, run.modes, wrong)
-    assert changes >= 4
+    assert changes >= 2
 
 
 def test_the_impact_that_is_compared_with_is_a_balls_by_hand():

@@ -24,6 +24,9 @@ def placed(turn=1.0, scene=SCENE):
 
 
 START = placed()
+WIRES = rk.Scene(rk.Body(1.0, np.eye(3), rk.Ring(0.4)), rk.Base(rk.Ring(1.5)))
+ACROSS = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # it stands on the other
+ON_WIRE = rk.place(WIRES, ACROSS, STILL, (1.5, 0.0, 0.0), base_normal=(0.0, 0.0, 1.0))
 
 
 def empty(tree):
@@ -95,6 +98,11 @@ REFUSED = {
         lambda: rk.ensemble([SCENE, rk.Scene(BALL, loads=())], START, TIMES),
         "ensemble.scene[1]",
         "another form than the first.*ensemble of each form",
+    ),
+    "a wire that lands on a wire": (
+        lambda: rk.simulate(WIRES, ON_WIRE, TIMES, modes=rk.Modes(restitution=0.5)),
+        "Modes.restitution",
+        "cannot land on a Ring.*Ring.*leave restitution out",
     ),
     "a graph that returns a pair": (
         lambda: rk.Graph(lambda x, y: (x, y)),

@@ -57,9 +57,18 @@ class Clearance(NamedTuple):
 def may_touch_twice(scene: Scene) -> bool:
     """Whether a second contact is possible, and could be told."""
     body, base = scene.body.surface, scene.base.surface
-    if (body.is_convex and base.is_convex) or not body.is_bounded:
+    if _are_convex(scene) or not body.is_bounded:
         return False
     return _has_inside(body) or _has_inside(base)
+
+
+def nearest_is_found(scene: Scene) -> bool:
+    """Whether the nearest of all places of body and base can be told."""
+    return _are_convex(scene) or may_touch_twice(scene)
+
+
+def _are_convex(scene: Scene) -> bool:
+    return scene.body.surface.is_convex and scene.base.surface.is_convex
 
 
 def _has_inside(surface: AbstractSurface) -> bool:

@@ -26,6 +26,9 @@ from .scene import Scene
 
 # Of the kinetic energy at the contact before an impact: what rounding may add to it
 _GAIN = 1e-9
+# Of a place [1]: how far the nearest points may be from those of the contact. The
+# search leaves rounding of what it compares, squared steps of 1e-5 (1e-2) at most
+_MISPLACED = {"float64": 1e-8, "float32": 1e-3}
 
 
 class Rebound(NamedTuple):
@@ -59,7 +62,8 @@ def impact(
     Args:
         scene: With a slipping contact.
         t: Time [s].
-        state: At the impact, with the nearest points touching.
+        state: At the impact, with the nearest points touching; where they do not, what
+            is behind it is NaN.
         restitution: Of the energy of compression (its root), or of the normal velocity
             [1].
         friction: [1]; None: the body never slips.
@@ -86,6 +90,9 @@ def impact(
         rest_speed,
     )
     hit = (collided if law == "energetic" else _by_newton)(*arguments)
+    off, size = contact.position - state.position, 1.0 + norm(state.position)
+    touches = norm(off) <= _MISPLACED[str(off.dtype)] * size
+    hit = Impact(*(jnp.where(touches, x, jnp.nan) for x in hit))
     J, after = (matvec_transposed(axes, x) for x in hit)
     jump = matvec(others, J)
     w, alpha_dot = state.angular_velocity + jump[:3], state.alpha_dot + jump[3:]

@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..dynamics.clearance import may_touch_twice
-from ..dynamics.gap import closing, nearest_anywhere
+from ..dynamics.gap import closing
+from ..dynamics.nearest_points import nearest_anywhere
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import norm
 from ..kinematics.coordinates import State, pack, unpack

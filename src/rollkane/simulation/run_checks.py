@@ -9,6 +9,7 @@ from ..dynamics.abstract_supported import (
     refuse_rolling_parts,
     rolling_parts,
 )
+from ..dynamics.clearance import nearest_is_found
 from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
@@ -67,6 +68,14 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
     if isinstance(start, SlidingState) and modes.friction is None:
         raise FieldError(
             "Modes.friction", None, "is missing for a start that slips", "give it"
+        )
+    if modes.restitution is not None and not nearest_is_found(scene):
+        raise FieldError(
+            "Modes.restitution",
+            type(scene.body.surface).__name__,
+            f"cannot land on a {type(scene.base.surface).__name__}: of several places "
+            "that may touch, the nearest is not found",
+            "leave restitution out; for an edge, give a thin Torus",
         )
 
 

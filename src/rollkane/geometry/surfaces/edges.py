@@ -15,8 +15,10 @@ from jaxtyping import Array, Float
 from ...validation.checks import positive
 from ..local_geometry import LocalGeometry
 from ..small_linear import components, dot, inverse_sqrt, norm
-from .directions import NormalHeading, PointOfNormal, Range, grid_of, grid_spacing
+from .directions import NormalHeading, PointOfNormal, Range
 from .kinds import AbstractNormalSurface, AbstractPointSurface
+
+_AROUND = 128  # samples of a ring: a twentieth of its radius apart
 
 
 def in_plane(normal: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -217,15 +219,15 @@ class Ring(AbstractPointSurface):
         return self.at_edge(along, normal)
 
     def samples(self) -> np.ndarray:
-        """Points along the ring, with normals round the wire."""
-        angles = grid_of(self.chart_domain)
-        pairs = [f(angles[:, k]) for k in (0, 1) for f in (np.cos, np.sin)]
-        return np.stack(pairs, axis=1)
+        """Points along the ring, each once, with the normal away from the centre."""
+        angle = np.linspace(-np.pi, np.pi, _AROUND, endpoint=False)
+        out, none = np.ones(_AROUND), np.zeros(_AROUND)
+        return np.stack([np.cos(angle), np.sin(angle), out, none], axis=1)
 
     @property
     def spacing(self) -> tuple[float, float]:
         """Of both angles [rad]."""
-        return grid_spacing(self.chart_domain)
+        return 2.0 * np.pi / _AROUND, 2.0 * np.pi / _AROUND
 
     @property
     def chart_domain(self) -> Range:

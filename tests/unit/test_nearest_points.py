@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.dynamics import gap
+from rollkane.dynamics import nearest_points
+from rollkane.geometry.rotations import rotation_matrix
 
 WAVES = rk.Graph(lambda x, y: 0.1 * jnp.sin(3.0 * x) * jnp.cos(2.0 * y))
 EGG = rk.Parametric(
@@ -41,11 +42,11 @@ def flying(name, moves=False):
 def test_newtons_method_converges_quadratically(name):
     scene, state = flying(name, moves=True)
     t = jnp.asarray(0.3)  # the nearest points were those of t = 0: 0.07 m off
-    improve = jax.jit(lambda state: gap._improved(scene, t, state))
+    improve = jax.jit(lambda state: nearest_points._improved(scene, t, state))
     left = []
     for _ in range(7):
         places, rest, _ = improve(state)
-        state = eqx.tree_at(gap._places, state, places)
+        state = eqx.tree_at(nearest_points.places_of, state, places)
         left.append(float(rest))
     # 1e-1, 1e-2, 1e-4, 1e-8, rounding: a slope that is a percent off would take as many
     # steps as digits are left over two
@@ -64,7 +65,7 @@ def test_gap_and_nearest_points_follow_the_place(name):
     def found(x):
         moved = state.position + x * jnp.array([0.6, -0.64, 0.48])
         flying = eqx.tree_at(lambda s: s.position, state, moved)
-        distance, near = gap.nearest(scene, t, flying)
+        distance, near = nearest_points.nearest(scene, t, flying)
         # directions have any length: what they lead to counts
         points = [scene.base.surface.point(near.contact_on_base)]
         if scene.has_contact_coordinates:
@@ -120,7 +121,8 @@ def test_gap_is_that_of_the_nearest_of_all_places(body, base):
     at = at + draw.uniform(0.6, 1.5, 60)[:, None] * slope
     still = (0.0, 0.0, 0.0)
     release = lambda q, r: rk.release(scene, q, still, r, still)
-    find = lambda q, r: gap.nearest_anywhere(scene, jnp.asarray(0.0), release(q, r))[0]
+    anywhere = lambda y: nearest_points.nearest_anywhere(scene, jnp.asarray(0.0), y)
+    find = lambda q, r: anywhere(release(q, r))[0]
     found = np.asarray(jax.jit(jax.vmap(find))(turned, at))
     a, b = (x.ravel() for x in np.meshgrid(*[np.linspace(-np.pi, np.pi, 201)] * 2))
     u = np.stack([a, b], 1)
@@ -134,6 +136,75 @@ def test_gap_is_that_of_the_nearest_of_all_places(body, base):
         # a base that bends by 1 at most: 3.5 (8.2e-3)^2 / 2 + 9.4 (1.9e-3)^2 / 2; the
         # egg is smaller
         assert -1.4e-4 < nearest - least < 1e-12
+
+
+WIRES = {
+    "ring over ball": (rk.Ring(0.4), rk.Sphere(2.0, (0.0, 0.0, -2.0))),
+    "ring over tyre": (rk.Ring(0.4), rk.Torus(3.0, 1.0)),
+    "ball over hoop": (rk.Sphere(0.3), rk.Ring(1.5)),
+    "ellipsoid over hoop": (rk.Ellipsoid((0.35, 0.3, 0.25)), rk.Ring(1.5)),
+    "torus over hoop": (rk.Torus(0.3, 0.1), rk.Ring(1.5)),
+}
+
+
+@pytest.mark.parametrize("name", WIRES)
+def test_nearest_points_of_a_wire_look_at_each_other(name):
+    """A wire has every normal across it: its nearest points are so with two of them.
+
+    By the other one a body landed half a metre beside where it was.
+    """
+    body, base = WIRES[name]
+    scene = rk.Scene(rk.Body(1.0, np.eye(3), body), rk.Base(base))
+    draw = np.random.default_rng(4)
+    turned = draw.normal(size=(60, 4))
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    around = draw.uniform(-3.0, 3.0, 60)
+    out = np.stack([np.cos(around), np.sin(around), 0.0 * around], 1)
+    lean = draw.uniform(-3.0, 3.0, 60)[:, None]
+    way = np.cos(lean) * out + np.sin(lean) * np.array([0.0, 0.0, 1.0])
+    far = draw.uniform(0.45, 0.7, 60)[:, None]
+    at = 1.5 * out + far * way
+    if body.is_edge:
+        at = way * 2.5 + [0, 0, -2.0] if "ball" in name else 3.0 * out + way * 1.5
+    still = (0.0, 0.0, 0.0)
+
+    def found(q, r):
+        state = rk.release(scene, q, still, r, still)
+        distance, near = nearest_points.nearest_anywhere(scene, jnp.asarray(0.0), state)
+        out = scene.base.surface.geometry(near.contact_on_base).normal
+        if scene.has_contact_coordinates:
+            inwards = scene.body.surface.geometry(near.contact_on_body).normal
+            return distance, out, rotation_matrix(q) @ inwards
+        return distance, out, -out
+
+    gaps, outs, inwards = (np.asarray(x) for x in jax.jit(jax.vmap(found))(turned, at))
+    # a search ends at 1e-9 of a metre, of normals of bodies that bend by 1 / 0.1 m
+    assert np.abs(outs + inwards).max() < 1e-8
+    angle = np.linspace(-np.pi, np.pi, 20001)
+    circle = np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], 1)
+    for q, r, nearest in zip(turned, at, gaps, strict=True):
+        R = _matrix(q)
+        if body.is_edge:
+            least = _of_points(base, r + 0.4 * circle @ R.T)
+        else:
+            least = _of_points(body, (1.5 * circle - r) @ R)
+        # points 4.8e-4 m apart at most, on a circle and a surface apart by more than
+        # 0.05 m: (2.4e-4)^2 / 2 (1 / 0.05 + 1 / 0.4); an ellipsoid's own search, 1e-9
+        assert -6.5e-7 < nearest - least < 1e-8
+
+
+def _of_points(surface, points):
+    """The least distance of a surface from points, of an ellipsoid by bisection."""
+    if isinstance(surface, rk.Ellipsoid):
+        axes = np.asarray(surface.semi_axes)
+        low, high = np.zeros((2, len(points), 1))
+        high += 4.0  # m^2, more than any of these
+        for _ in range(60):  # the foot of a perpendicular is at a^2 p / (a^2 + f)
+            f = 0.5 * (low + high)
+            out = ((axes * points / (axes**2 + f)) ** 2).sum(1, keepdims=True) > 1.0
+            low, high = np.where(out, f, low), np.where(out, high, f)
+        return np.linalg.norm(points * f / (axes**2 + f), axis=1).min()
+    return float(jnp.min(jax.vmap(surface.signed_distance)(jnp.asarray(points))))
 
 
 def _matrix(q):

@@ -1,0 +1,261 @@
+"""The nearest points of body and base, by Newton's method.
+
+From points close to them (:func:`nearest`), or from the lowest of samples of the whole
+surfaces (:func:`nearest_anywhere`).
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeAlias, cast
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from ..codegen.tracing import shared_in_c
+from ..geometry.local_geometry import LocalGeometry, from_normal
+from ..geometry.small_linear import (
+    components,
+    dot,
+    matmul,
+    matvec,
+    matvec_transposed,
+    norm,
+    solve_2x2,
+    solve_4x4,
+)
+from ..kinematics.coordinates import FlyingState
+from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
+from .scene import Scene
+
+# Newton steps to the nearest points, most: their error squares each time
+NEWTON = 16
+# Of the size of what is compared, where the search has ended: it ends no closer where
+# rounding does not let it
+_CLOSE = 64
+
+# Coordinates of the nearest points on base and body.
+_Places: TypeAlias = tuple[Array, Array]
+# Steps taken, the points, and what was left before the last step and the gap there [m].
+_Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""], Float[Array, ""]]
+
+
+def nearest(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: int = NEWTON
+) -> tuple[Float[Array, ""], FlyingState]:
+    """Gap between the surfaces [m], and the state with their nearest points.
+
+    Args:
+        scene: What flies over what.
+        t: Time [s].
+        state: Its contact coordinates are where the search begins.
+        steps: Of the search, at most.
+
+    The gap is the distance along the base's normal, less than zero in the base; NaN
+    where the search did not converge. Where there are several nearest points, the ones
+    next to the start are followed.
+    """
+    places, found = _searched(*jax.lax.stop_gradient((scene, t, state)), steps)
+    gap, state = _nearest_from(scene, t, state, places)
+    return jnp.where(jnp.isnan(found), jnp.nan, gap), state
+
+
+def _searched(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, steps: Any = NEWTON
+) -> tuple[_Places, Float[Array, ""]]:
+    """The nearest points, and their gap, NaN if the search did not converge."""
+    size = 1.0 + norm(state.position)
+    close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
+
+    def going(carry: _Search) -> Bool[Array, ""]:
+        count, _, left, _ = carry
+        return (count < steps) & (left > close)
+
+    def improve(carry: _Search) -> _Search:
+        count, places, _, _ = carry
+        return count + 1, *_improved(scene, t, eqx.tree_at(places_of, state, places))
+
+    far = jnp.full_like(close, jnp.inf)
+    carry = jnp.asarray(0), places_of(state), far, far
+    _, found, left, gap = jax.lax.while_loop(going, improve, carry)
+    converged = left <= (1e-9 if close.dtype == jnp.float64 else 1e-4) * size
+    return found, jnp.where(converged, gap, jnp.nan)
+
+
+def _nearest_from(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, places: _Places
+) -> tuple[Float[Array, ""], FlyingState]:
+    """:func:`nearest` from points that are it, to which it gives their derivative.
+
+    One step more of the search has it, by the implicit function; the gap is stationary
+    there, and does not move with the points.
+    """
+    found, _, gap = _improved(scene, t, eqx.tree_at(places_of, state, places))
+    return gap, eqx.tree_at(places_of, state, found)
+
+
+@shared_in_c
+def nearest_anywhere(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[Float[Array, ""], FlyingState]:
+    """The same of the whole surfaces, where they may touch at several places.
+
+    The search begins where samples of both surfaces are nearest
+    (:func:`rollkane.dynamics.clearance.lowest_places`), wherever the state's
+    coordinates are.
+    """
+    if not may_touch_twice(scene):
+        return nearest(scene, t, state)
+    fixed = jax.lax.stop_gradient((scene, t, state))
+    gaps, starts = lowest_places(*fixed)
+
+    def near(low: tuple[Array, Float[Array, "3"]]) -> tuple[_Places, Array]:
+        # no step, which finds nothing, from where there is no low sample
+        gap, place = low
+        steps = jnp.where(jnp.isfinite(gap), NEWTON, 0)
+        return _searched(*fixed[:2], begun_at(*fixed, place), steps)
+
+    # one after the other: a program of one is compiled in a fraction of the time
+    closest, found = cast("tuple[_Places, Array]", jax.lax.map(near, (gaps, starts)))
+    # far from an uneven base Newton's method may go astray: there the samples will do
+    size = reach_of(fixed[0].body.surface, gaps.dtype)
+    strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
+    best = jnp.argmin(jnp.where(strays, gaps, found))
+    at_best: Callable[[Array], Array] = lambda x: x[best]
+    place = jax.tree.map(at_best, closest)
+    gap, closest = _nearest_from(scene, t, state, place)
+    # no body may land by samples
+    rough = jnp.where(gaps[best] > 0.1 * size, gaps[best], jnp.nan)
+    return jnp.where(strays[best], rough, gap), closest
+
+
+def begun_at(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, place: Float[Array, "3"]
+) -> FlyingState:
+    """A state whose points are about the nearest to a place on base axes [m].
+
+    An edge has many normals at a point, there towards the other surface.
+    """
+    base, body = scene.base.surface, scene.body.surface
+    on_base, on_body = base.locate(place), state.contact_on_body
+    if base.is_edge or scene.has_contact_coordinates:
+        there = on_body_axes(scene, t, state, place)
+        on_body = body.locate(there)
+    if base.is_edge or (body.is_edge and scene.has_contact_coordinates):
+        _, origin, to_base = flying_pose(scene, t, state)
+        ground, shell = base.geometry(on_base), body.geometry(on_body)
+        if not base.is_edge:
+            out = ground.normal
+        elif not body.is_edge:
+            out = -matvec(to_base, shell.normal)
+        else:
+            out = origin + matvec(to_base, shell.position) - ground.position
+        on_base = base.at_edge(ground.position, out)
+        inwards = -matvec_transposed(to_base, out)
+        on_body = body.at_edge(shell.position, inwards) if body.is_edge else on_body
+    if not scene.has_contact_coordinates:
+        on_body = state.contact_on_body
+    return eqx.tree_at(places_of, state, (on_base, on_body))
+
+
+def places_of(state: FlyingState) -> _Places:
+    """Coordinates of a state's nearest points, on base and body."""
+    return state.contact_on_base, state.contact_on_body
+
+
+def _improved(
+    scene: Scene, t: Float[Array, ""], state: FlyingState
+) -> tuple[_Places, Float[Array, ""], Float[Array, ""]]:
+    """Points after a Newton step; the largest of what was left before it, and the gap.
+
+    Nearest are points whose join is across both tangents of the base, to which the
+    body's normal is, too.
+    """
+    base, body = scene.base.surface, scene.body.surface
+    _, origin, to_base = flying_pose(scene, t, state)
+    ground = base.geometry(state.contact_on_base)
+    shell = _body_geometry(scene, state, ground, to_base)
+    tangents = components(ground.frame.T[:2])
+    join = origin + matvec(to_base, shell.position) - ground.position
+    gap = dot(ground.normal, join)
+    left = [dot(tangent, join) for tangent in tangents]
+    normal = None
+    if scene.has_contact_coordinates:
+        normal = matvec(to_base, shell.normal)
+        left += [dot(tangent, normal) for tangent in tangents]
+
+    def moved(x: Float[Array, " m"]) -> _Places:
+        on_base, on_body = places_of(state)
+        on_base = on_base + base.coordinate_rates(on_base, still[0], x[:2])
+        if normal is not None:
+            on_body = on_body + body.coordinate_rates(on_body, still[1], x[2:])
+        return base.settled(on_base), body.settled(on_body)
+
+    # at the nearest points nothing is left that a change of the slope could move
+    still = jax.lax.stop_gradient((ground, shell, to_base, gap, normal))
+    move = -_solved(*still, jnp.stack(left), base.is_edge)
+    most = jnp.max(jnp.abs(jnp.stack(left)))
+    if normal is not None:  # the same is true of the far side, of a wire close by
+        most = jnp.where(dot(normal, ground.normal) < 0.0, most, jnp.inf)
+    return moved(move), most, gap
+
+
+def _solved(
+    ground: LocalGeometry,
+    shell: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+    gap: Float[Array, ""],
+    normal: Float[Array, "3"] | None,
+    left: Float[Array, " m"],
+    on_edge: bool,
+) -> Float[Array, " m"]:
+    """What is left, by its slope in the coordinates of both points.
+
+    Tangents turn by ``d t_i = e3 W dx``, points move by ``t_i L dx``, (2.3). How the
+    tangents turn about the normal does not matter where the points are nearest.
+    """
+    W, L = ground.frame_rates, ground.lengths
+    by_base = gap * W - L
+    if normal is None:  # the body's point moves with its normal, on the same tangents
+        return solve_2x2(by_base + matmul(shell.lengths, W), left)
+    mixing = matmul(ground.frame.T[:2], matmul(to_base, shell.frame[:, :2]))
+    aligned = dot(normal, ground.normal) * W
+    by_body = matmul(mixing, shell.lengths)
+    by_turning = -matmul(mixing, shell.frame_rates)
+    if on_edge:  # it turns there without moving: at the end of a gap of no length
+        rows = [[by_base, by_body], [aligned, by_turning]]
+        both = [jnp.concatenate(row, axis=1) for row in rows]
+        return solve_4x4(jnp.concatenate(both), left)
+    # the base's point, whose block is near its metric, eliminated
+    own = solve_2x2(by_base, left[:2])
+    of_body = solve_2x2(by_base, by_body)
+    rest = by_turning - matmul(aligned, of_body)
+    body = solve_2x2(rest, left[2:] - matvec(aligned, own))
+    return jnp.concatenate([own - matvec(of_body, body), body])
+
+
+def on_body_axes(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, point: Float[Array, "3"]
+) -> Float[Array, "3"]:
+    """A point on base axes [m], on those of the body in flight."""
+    _, place, to_base = flying_pose(scene, t, state)
+    return matvec_transposed(to_base, point - place)
+
+
+def _body_geometry(
+    scene: Scene,
+    state: FlyingState,
+    ground: LocalGeometry,
+    to_base: Float[Array, "3 3"],
+) -> LocalGeometry:
+    """The body there; on the base's tangents, where the point is that of a normal."""
+    body = scene.body.surface
+    if scene.has_contact_coordinates:
+        return body.geometry(state.contact_on_body)
+    of_normal = body.normal_map(scene.base.surface.is_flat)
+    assert of_normal is not None
+    first, second, out = (
+        matvec_transposed(to_base, axis) for axis in components(ground.frame.T)
+    )
+    return from_normal(of_normal, -out, (first, second))
