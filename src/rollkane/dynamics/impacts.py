@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -91,8 +92,9 @@ def impact(
     )
     hit = (collided if law == "energetic" else _by_newton)(*arguments)
     off, size = contact.position - state.position, 1.0 + norm(state.position)
-    touches = norm(off) <= _MISPLACED[str(off.dtype)] * size
-    hit = Impact(*(jnp.where(touches, x, jnp.nan) for x in hit))
+    off, size = jax.lax.stop_gradient((off, size))
+    apart = happens & ~(norm(off) <= _MISPLACED[str(off.dtype)] * size)
+    hit = Impact(*(jnp.where(apart, jnp.nan, x) for x in hit))
     J, after = (matvec_transposed(axes, x) for x in hit)
     jump = matvec(others, J)
     w, alpha_dot = state.angular_velocity + jump[:3], state.alpha_dot + jump[3:]
