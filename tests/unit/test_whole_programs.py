@@ -140,6 +140,36 @@ def swapped(a, b):
     return jax.lax.fori_loop(0, 9, turn, (a, b, 0.0)), a
 
 
+def test_what_no_turn_changes_is_computed_once():
+    """Ahead of the loop, and each turn begins with it anew."""
+
+    def searched(x, many):
+        def table(scale):
+            return jnp.sin(scale * many).at[3].set(scale)
+
+        def turn(y, row):
+            spoiled = table(x[0]).at[jnp.asarray(jnp.abs(y) * 10, int)].add(row)
+            return y + jnp.min(spoiled - table(x[1])) / 50.0, jnp.sum(spoiled)
+
+        return jax.lax.scan(turn, x[2], many[:40])
+
+    def again(x, many):
+        def turn(carry):
+            i, y = carry
+            y, sums = searched(y, many)
+            return i + 1, x + y + jnp.max(sums) / 1e3
+
+        return jax.lax.while_loop(lambda c: c[0] < 3, turn, (0, x))
+
+    compare(searched, X, MANY)
+    compare(again, X, MANY)
+    program = Whole.of(searched, X, MANY)
+    text = program.parts[-1]
+    ahead, loop = text.split("< 40;", 1)
+    assert ahead.count("sin_one(") == 2
+    assert "sin_one(" not in loop
+
+
 def test_arrays_are_values():
     compare(swapped, MANY, 2.0 * MANY)
 

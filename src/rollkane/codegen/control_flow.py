@@ -7,33 +7,33 @@ A branch that is not taken costs nothing, a loop has its body once.
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
-from jax.extend import core
 from jax.typing import DTypeLike
 
 from .array_memory import Index, Memory
 from .array_operations import in_memory, in_shape
 from .called_programs import calls, rows_of
-from .data_movement import as_objects, numbers_of
+from .data_movement import as_objects
 from .indexed_operations import OPERATIONS
 from .jaxpr_types import (
     Aval,
     ClosedJaxpr,
     Equation,
     Jaxpr,
-    Literal,
     Variable,
     numbers_in,
 )
 from .loop_carry import Carry
+from .loop_invariants import invariants
 from .memory_walk import SMALL, MemoryWalk, Value, kept
 from .new_programs import pruned
 from .scalar_program import NotElementwiseError
 from .scalars import Number, in_c, type_of
 from .shared_calls import SharedCalls
 from .statement_writer import Block, Target
+from .value_uses import is_free, is_literal, last_uses, read
 
 # numbers of a loop of known length that is written out
 _WRITTEN_OUT = 300
@@ -42,6 +42,8 @@ _CHEAP = 4
 
 _AGAIN = ("remat", "checkpoint", "remat2")
 _WITH_PROGRAMS = ("while", "scan", "cond", *_AGAIN)
+# what an array is looked at by, or made of one number
+_MOVES = {"broadcast_in_dim", "reshape", "squeeze", "transpose", "slice", "iota"}
 
 _Written = list[tuple[Block, list[Value]]]  # branches, and what each of them gives
 
@@ -62,21 +64,57 @@ class Structured(MemoryWalk):
         self._kept: dict[int, tuple[Jaxpr, list[Equation]]] = {}
 
     def through(
-        self, jaxpr: Jaxpr, closed: Sequence[Any], values: list[Value]
+        self,
+        jaxpr: Jaxpr,
+        closed: Sequence[Any],
+        values: list[Value],
+        ready: dict[Variable, Value] | None = None,
     ) -> list[Value]:
-        """Outputs of a program inside of the program."""
+        """Outputs of a program inside of the program.
+
+        Args:
+            jaxpr: The program.
+            closed: What it closes over.
+            values: Its arguments.
+            ready: What has been computed of it.
+        """
         begun = (*map(self.of_its_size, closed), *values)
         known = dict(zip((*jaxpr.constvars, *jaxpr.invars), begun, strict=True))
-        last: dict[Variable, float] | None = None
         equations = self._needed(jaxpr)
+        if ready:
+            known |= ready
+            equations = [e for e in equations if e.outvars[0] not in ready]
+        self._follow(equations, jaxpr.outvars, known)
+        return [read(v, known) for v in jaxpr.outvars]
+
+    def _follow(
+        self,
+        equations: list[Equation],
+        outvars: Sequence[Variable],
+        known: dict[Variable, Value],
+    ) -> None:
+        """Add to what is known what equations give."""
+        last: dict[Variable, float] | None = None
         for i, equation in enumerate(equations):
-            inputs = [_read(v, known) for v in equation.invars]
+            inputs = [read(v, known) for v in equation.invars]
             if any(isinstance(x, Memory) for x in inputs):
-                last = last or _last_uses(equations, jaxpr.outvars)
+                last = last or last_uses(equations, outvars)
                 inputs = self._of_memory(equation, i, known, last)
             results = map(self.of_its_size, self.results(equation, inputs))
             known.update(zip(equation.outvars, results, strict=True))
-        return [_read(v, known) for v in jaxpr.outvars]
+
+    def _ahead(self, body: ClosedJaxpr, fixed: list[Value]) -> dict[Variable, Value]:
+        """What a loop's body computes of larger arrays that no turn changes."""
+        jaxpr, first = body.jaxpr, len(fixed)
+        names = *jaxpr.constvars, *jaxpr.invars[:first]
+        equations = invariants(self._needed(jaxpr), names, _is_work)
+        if not equations:
+            return {}
+        given = *map(self.of_its_size, body.consts), *fixed
+        known = dict(zip(names, map(kept, given), strict=True))
+        results = [v for equation in equations for v in equation.outvars]
+        self._follow(equations, results, known)
+        return {v: kept(known[v]) for v in results}
 
     def _needed(self, jaxpr: Jaxpr) -> list[Equation]:
         """Equations on which a program's results depend."""
@@ -93,12 +131,12 @@ class Structured(MemoryWalk):
         last: dict[Variable, float],
     ) -> list[Value]:
         """Inputs of equation i: numbers, or arrays, owned where it may change them."""
-        names = [v for v in equation.invars if not _is_literal(v)]
+        names = [v for v in equation.invars if not is_literal(v)]
         if not _takes_memory(equation):
             known.update((v, self.numbers(known[v])) for v in names)
-        free = {v for v in names if _is_free(v, known, names, last, i)}
+        free = {v for v in names if is_free(v, known, names, last, i)}
         return [
-            _read(v, known) if _is_literal(v) or v in free else kept(known[v])
+            read(v, known) if is_literal(v) or v in free else kept(known[v])
             for v in equation.invars
         ]
 
@@ -143,6 +181,7 @@ class Structured(MemoryWalk):
         closed = list(map(kept, inputs[: first + second]))
         of_cond, of_body = closed[:first], closed[first:]
         homes = [self.homes.get(v) for v in equation.outvars]
+        ready = self._ahead(body, of_body)
         carry = Carry(self, body, second, inputs[first + second :], homes)
         (asked,) = more.out_avals
         with self.writer.braces("for (;;)"):
@@ -155,14 +194,14 @@ class Structured(MemoryWalk):
             with self.writer.inner() as block:
                 if asked.shape:  # each member of a batch has its own number of turns
                     begun = list(map(kept, carry.values))
-                    found = self._run(body, [*of_body, *begun])
+                    found = self._run(body, [*of_body, *begun], ready)
                     avals = body.out_avals
                     found = [
                         self._where(going, a, b, v)
                         for a, b, v in zip(found, begun, avals, strict=True)
                     ]
                 else:
-                    found = self._run(body, [*of_body, *carry.values])
+                    found = self._run(body, [*of_body, *carry.values], ready)
                 targets = carry.targets(found)
             self._loops -= 1
             self.writer.put(block, targets)
@@ -209,6 +248,7 @@ class Structured(MemoryWalk):
         shared = list(map(kept, shared))
         kinds = [type_of(v.aval.dtype) for v in equation.invars[first + behind :]]
         stacks = list(map(self.arrays.in_memory, rows, kinds))
+        ready = self._ahead(body, shared)
         carry = Carry(self, body, first, begun, [None] * behind)
         outs = [
             self.arrays.new((length, *v.shape), type_of(v.dtype))
@@ -221,7 +261,7 @@ class Structured(MemoryWalk):
                 at = self.writer.let(f"{length - 1} - {turn.text}", "whole").text
             with self.writer.inner() as block:
                 taken = [self._row(x, at) for x in stacks]
-                found = self._run(body, [*shared, *carry.values, *taken])
+                found = self._run(body, [*shared, *carry.values, *taken], ready)
                 for to, x in zip(outs, found[behind:], strict=True):
                     self._leave(to, at, x)
                 targets = carry.targets(found[:behind])
@@ -318,9 +358,14 @@ class Structured(MemoryWalk):
         self._loops = loops
         return list(map(self.numbers, found))
 
-    def _run(self, closed: ClosedJaxpr, values: list[Value]) -> list[Value]:
+    def _run(
+        self,
+        closed: ClosedJaxpr,
+        values: list[Value],
+        ready: dict[Variable, Value] | None = None,
+    ) -> list[Value]:
         """A program inside of the program."""
-        return self.through(closed.jaxpr, closed.consts, values)
+        return self.through(closed.jaxpr, closed.consts, values, ready)
 
 
 def _takes_memory(equation: Equation) -> bool:
@@ -337,41 +382,9 @@ def _has_large(equation: Equation) -> bool:
     return any(_count(v.aval.shape) > SMALL for v in arrays)
 
 
+def _is_work(equation: Equation) -> bool:
+    """Whether an equation computes a larger array, beyond moving numbers."""
+    return _has_large(equation) and equation.primitive.name not in _MOVES
+
+
 _count = functools.cache(math.prod)  # of the few shapes that there are
-
-
-def _last_uses(
-    equations: list[Equation], outvars: Sequence[Variable]
-) -> dict[Variable, float]:
-    """Of each variable, the last equation that reads it; infinite for results."""
-    last: dict[Variable, float] = {}
-    for i, equation in enumerate(equations):
-        last.update((v, i) for v in equation.invars if not _is_literal(v))
-    last.update((v, math.inf) for v in outvars if not _is_literal(v))
-    return last
-
-
-def _is_literal(v: object) -> TypeGuard[Literal]:
-    return isinstance(v, core.Literal)
-
-
-def _read(v: Variable, known: dict[Variable, Value]) -> Value:
-    return numbers_of(np.asarray(v.val, v.aval.dtype)) if _is_literal(v) else known[v]
-
-
-def _is_free(
-    v: Variable,
-    known: dict[Variable, Value],
-    names: list[Variable],
-    last: dict[Variable, float],
-    i: int,
-) -> bool:
-    """Whether equation i changes a value in place: nobody else reads it, or later."""
-    x = known[v]
-    if not isinstance(x, Memory) or not x.owned or last[v] > i or names.count(v) > 1:
-        return False
-    return not any(
-        isinstance(y, Memory) and y.base == x.base and last.get(other, -1) >= i
-        for other, y in known.items()
-        if other is not v
-    )

@@ -122,9 +122,14 @@ def lowest_places(
     Returns:
         Gaps [m], infinite where there are fewer places; the places [m], base axes.
     """
+    sides = _sides(scene, t, state)
+    body, base = scene.body.surface, scene.base.surface
+    # those of a body are closer: the base's, of which each is a search, add nothing
+    if len(sides) > 1 and body.searches_distance and not base.searches_distance:
+        sides = sides[:1]
     found = [
         (gaps, jax.vmap(on_base)(jax.vmap(surface.point)(u)))
-        for surface, level, on_base, searched in _sides(scene, t, state)
+        for surface, level, on_base, searched in sides
         for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
     ]
     gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))

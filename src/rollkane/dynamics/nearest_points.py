@@ -125,9 +125,7 @@ def nearest_anywhere(
     at_best: Callable[[Array], Array] = lambda x: x[best]
     place = jax.tree.map(at_best, closest)
     gap, closest = _nearest_from(scene, t, state, place)
-    # no body may land by samples
-    rough = jnp.where(gaps[best] > 0.1 * size, gaps[best], jnp.nan)
-    return jnp.where(strays[best], rough, gap), closest
+    return jnp.where(strays[best], gaps[best], gap), closest
 
 
 def begun_at(
