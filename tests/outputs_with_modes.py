@@ -37,10 +37,10 @@ PARTS, CHANGES = 8, 12  # of a run that are looked at, most
 SHARES = (0.08, 0.5, 0.92)  # of a part, where it is
 STEPS = (1.0, 1 / 3, 1 / 9, 1 / 27)  # of the longest stencil that the part has room for
 SHORTEST_PART = 2e-3  # s
-BESIDE = 1e-6 * np.array([-3, -2, -1, 1, 2, 3])  # s, of a change
+BESIDE = 2.5e-7 * np.array([-3, -2, -1, 1, 2, 3])  # s, of a change
 OUTPUTS = PARTS * len(SHARES) * len(STEPS) * 9 + CHANGES * 6 + 1
 # Values at a change are continued from three outputs of each side by parabolas, to
-# 1e-18 s^3 times a third derivative, and six roundings of places of a metre: 1e-15 m,
+# 2e-20 s^3 times a third derivative, and six roundings of places of a metre: 1e-15 m,
 # 1e-14 N or m/s (forces of 100 N, turns of 10 rad/s) where nothing is steep. Forces
 # turn by their own size within 1e-5 s where a slip ends or begins (docs/theory.md,
 # 8.5): there a third derivative is 1e15 times it, and a parabola is right to 1e-3.
