@@ -137,11 +137,11 @@ def begun_at(
     """
     base, body = scene.base.surface, scene.body.surface
     on_base, on_body = base.locate(place), state.contact_on_body
-    if base.is_edge or scene.has_contact_coordinates:
-        there = on_body_axes(scene, t, state, place)
-        on_body = body.locate(there)
-    if base.is_edge or (body.is_edge and scene.has_contact_coordinates):
-        _, origin, to_base = flying_pose(scene, t, state)
+    if not (base.is_edge or scene.has_contact_coordinates):
+        return eqx.tree_at(places_of, state, (on_base, on_body))
+    _, origin, to_base = flying_pose(scene, t, state)
+    on_body = body.locate(matvec_transposed(to_base, place - origin))
+    if base.is_edge or body.is_edge:
         ground, shell = base.geometry(on_base), body.geometry(on_body)
         if not base.is_edge:
             out = ground.normal
@@ -231,14 +231,6 @@ def _solved(
     rest = by_turning - matmul(aligned, of_body)
     body = solve_2x2(rest, left[2:] - matvec(aligned, own))
     return jnp.concatenate([own - matvec(of_body, body), body])
-
-
-def on_body_axes(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, point: Float[Array, "3"]
-) -> Float[Array, "3"]:
-    """A point on base axes [m], on those of the body in flight."""
-    _, place, to_base = flying_pose(scene, t, state)
-    return matvec_transposed(to_base, point - place)
 
 
 def _body_geometry(

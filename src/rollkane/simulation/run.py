@@ -146,7 +146,9 @@ def simulate(
 
     Raises:
         FieldError: times that are not increasing, tolerances out of range, unknown
-            names, a start that does not belong to the scene.
+            names, a start that does not belong to the scene, ``modes`` in which an
+            edge would land on an edge, or a body without ends on a base that is not
+            convex.
     """
     check_scene("simulate", scene, start)
     scene, start = in_one_precision(scene, start)
