@@ -109,9 +109,8 @@ def test_equal_numbers_of_another_type_make_another_program(other):
 
 
 def test_options_that_a_release_does_not_know_are_left_out(monkeypatch):
-    monkeypatch.setattr(
-        compile_effort, "_LITTLE_EFFORT", {"no_such_option_of_xla": True}
-    )
+    monkeypatch.setattr(compile_effort, "_LITTLE", {"no_such_option_of_xla": True})
+    monkeypatch.setattr(compile_effort, "_unknown", set())
     triple = with_little_effort(functools.partial(jax.jit, lambda x: 3.0 * x))
     assert triple(jnp.asarray(2.0)) == 6.0
-    assert compile_effort._LITTLE_EFFORT == {}
+    assert compile_effort._unknown == {"no_such_option_of_xla"}

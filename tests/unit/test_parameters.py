@@ -123,9 +123,9 @@ def test_forms_of_an_inertia():
     scaled = entry_of(rk.Free("body.inertia", form="scale"))
     assert type(scaled.transform) is Scaled
     # one factor: e^0.3 of every entry, to a few roundings
-    found = scaled.value(np.array([0.3]))
+    found, shown, _, _ = scaled.at(np.array([0.3]))
     np.testing.assert_allclose(found, np.exp(0.3) * ASKEW, rtol=8 * EPS)
-    np.testing.assert_allclose(scaled.shown(np.array([0.3])), np.exp(0.3), rtol=8 * EPS)
+    np.testing.assert_allclose(shown, np.exp(0.3), rtol=8 * EPS)
 
 
 # Other coordinates
@@ -157,10 +157,10 @@ def test_masses_and_lengths_stay_positive():
     for path in ("body.mass", "body.surface.semi_axes"):
         entry = entry_of(rk.Free(path))
         z = entry.transform.start()
-        assert (entry.value(z - 300.0) > 0.0).all()
+        assert (entry.at(z - 300.0).value > 0.0).all()
         known = np.ravel(np.asarray(known_value(path)))
         # exp(log(x)), x of 1e-2 to 1: log of up to 4 with a rounding of 4 eps
-        np.testing.assert_allclose(np.ravel(entry.value(z)), known, rtol=16 * EPS)
+        np.testing.assert_allclose(np.ravel(entry.at(z).value), known, rtol=16 * EPS)
 
 
 def known_value(path):
@@ -217,8 +217,8 @@ def test_bounds_in_coordinates(path):
     )
     # exp(log(x)) as above
     for side, wanted in ((entry.lower, low), (entry.upper, high)):
-        reached = np.ravel(entry.value(side))
-        expected = np.ravel(np.broadcast_to(wanted, np.shape(entry.value(side))))
+        reached = np.ravel(entry.at(side).value)
+        expected = np.ravel(np.broadcast_to(wanted, np.shape(entry.at(side).value)))
         np.testing.assert_allclose(reached, expected, rtol=16 * EPS)
 
 

@@ -92,7 +92,7 @@ def _wrapped(
         if name == "force" and callable(function):
             function = _Force(function, n, takes)
         functions[name] = UserFunction(field, function, size, parameters, of_array=True)
-        check_output(field, functions[name], jnp.zeros(size), shapes[name])
+        check_output(field, functions[name], (size,), shapes[name])
     return Made(functions, n)
 
 

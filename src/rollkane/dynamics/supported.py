@@ -283,7 +283,7 @@ class Prescribed(AbstractSupported):
         self.supported, self.count = supported, 0
         field = "Prescribed.motion"
         self.motion = UserFunction(field, motion, 1, parameters)
-        check_output(field, self.motion, jnp.zeros(1), (supported.count,))
+        check_output(field, self.motion, (1,), (supported.count,))
 
     @property
     def part(self) -> PointMasses | SupportedBody:

@@ -8,11 +8,11 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array
 
 from .. import __version__
+from ..codegen.compile_effort import for_many_numbers
 from ..dynamics.rolling_body_observables import paths_of_rolling
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene
@@ -255,7 +255,7 @@ def imported(module: str) -> Any:
         ) from error
 
 
-@eqx.filter_jit
+@for_many_numbers
 def _values(
     motion: AbstractMotion, names: tuple[str, ...], path: tuple[int, ...] = ()
 ) -> dict[str, Array]:

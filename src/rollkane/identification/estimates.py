@@ -62,7 +62,7 @@ class Estimates:
         every: Callable[[Sequence[Any]], Any]
         every = lambda parts: list(parts) if several else parts[0]
         return cls(
-            estimates=layout.by_path(lambda e: e.value(z)),
+            estimates=layout.by_path(lambda e: e.at(z).value),
             standard_errors=layout.by_path(
                 lambda e: standard_errors_of(e, z, known, unseen)
             ),
@@ -94,7 +94,8 @@ class Estimates:
         """Estimates at every accepted point of the search, in order."""
         layout = self.problem.layout
         return [
-            layout.by_path(lambda e, z=z: e.value(z)) for z in self.search.minimum.path
+            layout.by_path(lambda e, z=z: e.at(z).value)
+            for z in self.search.minimum.path
         ]
 
     def predicted(self) -> Any:
@@ -131,17 +132,17 @@ def standard_errors_of(
     entry: Coordinates, z: np.ndarray, known: np.ndarray, unseen: np.ndarray
 ) -> np.ndarray:
     """Of a parameter's entries; infinite where an unseen direction changes them."""
-    rows = uncertainty.slope(entry, z)
+    rows = entry.at(z).slope
     own = known[entry.where, entry.where]
     errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", rows, own, rows), 0.0))
     errors[uncertainty.hidden(rows, unseen, entry.where)] = np.inf
-    return errors.reshape(entry.value(z).shape)
+    return errors.reshape(entry.at(z).value.shape)
 
 
 def _priors(layout: Layout) -> int:
     """Numbers that priors are of."""
     return sum(
-        len(e.transform.deviations(jnp.ones(e.value(layout.start).shape)))
+        len(e.transform.deviations(jnp.ones(e.at(layout.start).value.shape)))
         for e in layout.entries
         if e.free.prior is not None
     )

@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..codegen.compile_effort import for_one_call
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
@@ -318,7 +318,7 @@ def _size(values: Array) -> float:
     return size if size > 0.0 else 1.0
 
 
-@eqx.filter_jit
+@for_one_call
 def _prior_of(
     transform: AbstractTransform, mean: Array, deviation: Array, z: Array
 ) -> tuple[Array, Array]:

@@ -5,11 +5,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError
 from . import paths
 from .parameters import Free, Model, Slot, Slots, Tied, located, number_in
+from .transform_values import TransformValues, values_at
 from .transforms import (
     AbstractTransform,
     Plain,
@@ -75,14 +77,9 @@ class Coordinates(NamedTuple):
         """Its path, with the record that it is of."""
         return self.free.path + ("" if self.record is None else f" {{{self.record}}}")
 
-    def value(self, z: np.ndarray) -> np.ndarray:
-        """The parameter, at coordinates z of the fit."""
-        return np.asarray(self.transform.value(jnp.asarray(z[self.where])))
-
-    def shown(self, z: np.ndarray) -> np.ndarray:
-        """Its named numbers, at coordinates z of the fit."""
-        value = self.transform.value(jnp.asarray(z[self.where]))
-        return np.asarray(self.transform.shown(value))
+    def at(self, z: np.ndarray) -> TransformValues:
+        """The parameter and its derivatives, at coordinates z of the fit."""
+        return values_at(self.transform, z[self.where])
 
 
 class Layout:
@@ -192,7 +189,7 @@ class Layout:
     def model(self, record: int, z: np.ndarray) -> Model:
         """A record's model at coordinates z of the fit."""
         slots, where = self.of_record(record)
-        return slots.applied(self.models[record], jnp.asarray(z[where]))
+        return _applied(slots, self.models[record], z[where])
 
     def by_path(self, of: Callable[[Coordinates], np.ndarray]) -> dict[str, np.ndarray]:
         """Something of every parameter; of several records' own ones, stacked."""
@@ -201,6 +198,11 @@ class Layout:
             found.setdefault(entry.free.path, []).append(of(entry))
         own = {e.free.path for e in self.entries if e.record is not None}
         return {p: np.stack(v) if p in own else v[0] for p, v in found.items()}
+
+
+@for_one_call
+def _applied(slots: Slots, model: Model, z: Float[Array, " P"]) -> Model:
+    return slots.applied(model, jnp.asarray(z))
 
 
 def _owners(models: Sequence[Model], path: str) -> list[int]:
@@ -303,7 +305,8 @@ def _bounds(
             raise FieldError(field, free.bounds, "are for plain numbers", remedy)
         least, most = free.bounds
         low, high = low if least is None else least, high if most is None else most
-    shape = np.shape(transform.value(jnp.asarray(start)))
+    known = values_at(transform, start).value
+    shape, value = known.shape, known.ravel()
     try:
         lower, upper = (
             np.ravel(np.broadcast_to(np.asarray(x, float), shape)) for x in (low, high)
@@ -311,7 +314,6 @@ def _bounds(
     except (TypeError, ValueError) as error:
         remedy = f"give (least, largest), numbers or arrays of shape {shape}"
         raise FieldError(field, free.bounds, "do not fit", remedy) from error
-    value = np.ravel(np.asarray(transform.value(jnp.asarray(start))))
     slack = 1e-12 * np.abs(value)
     if not np.all(lower < upper):
         raise FieldError(field, free.bounds, "must be (least, largest)", "order them")

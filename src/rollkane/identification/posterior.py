@@ -50,7 +50,7 @@ def posterior(
     root = np.linalg.cholesky(known)
     samples = _sampled(_potential(fit.problem, z, root), z.size, draws, warmup, seed)
     found = z + samples @ root.T
-    return layout.by_path(lambda e: np.stack([e.value(x) for x in found]))
+    return layout.by_path(lambda e: np.stack([e.at(x).value for x in found]))
 
 
 def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from statistics import NormalDist
 from typing import cast
 
-import jax.numpy as jnp
 import numpy as np
 
 from . import uncertainty
@@ -12,6 +11,7 @@ from .estimates import Estimates, standard_errors_of
 from .experiments import Problem
 from .layout import Coordinates
 from .least_squares import Evaluation, minimize
+from .transform_values import values_at
 from .transforms import Plain, Positive
 
 _HELD = 1e-3  # of a standard error: how firmly a profile holds its number
@@ -50,8 +50,7 @@ def _of_entry(
     problem: Problem, entry: Coordinates, z: np.ndarray, rise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Ends for every entry of one parameter, in its shape."""
-    value = np.asarray(entry.transform.value(jnp.asarray(z[entry.where])))
-    slope = uncertainty.slope(entry, z)
+    value, _, slope, _ = entry.at(z)
     at = problem.evaluate(z)
     known = uncertainty.coordinate_covariance(at, problem.layout, z, bounded=False)
     unseen = uncertainty.unseen_directions(at, problem.layout)
@@ -82,7 +81,7 @@ def _allowed(entry: Coordinates) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of a parameter's entries; none of those that have other coordinates."""
     if not isinstance(entry.transform, (Plain, Positive)):
         return np.array(-np.inf), np.array(np.inf)
-    ends = (entry.transform.value(jnp.asarray(z)) for z in (entry.lower, entry.upper))
+    ends = (values_at(entry.transform, z).value for z in (entry.lower, entry.upper))
     least, most = (np.ravel(end) for end in ends)
     return least, most
 
@@ -100,9 +99,7 @@ def _end(
     layout = problem.layout
     least = float(np.sum(problem.evaluate(z).residual ** 2))
     number: Callable[[np.ndarray], float]
-    number = lambda z: float(
-        np.ravel(np.asarray(entry.transform.value(jnp.asarray(z[entry.where]))))[k]
-    )
+    number = lambda z: float(np.ravel(entry.at(z).value)[k])
     middle, width = number(z), _HELD * abs(error)
     steps, point, reached = np.sqrt(rise), z, middle
     inner, outer = 0.0, np.inf  # standard errors where the rise is less, and more
@@ -112,7 +109,7 @@ def _end(
         def evaluate(x: np.ndarray, goal: float = goal) -> Evaluation:
             at = problem.evaluate(x)
             row = np.zeros((1, layout.size))
-            row[0, entry.where] = uncertainty.slope(entry, x)[k] / width
+            row[0, entry.where] = entry.at(x).slope[k] / width
             residual = np.append(at.residual, (number(x) - goal) / width)
             return Evaluation(residual, np.concatenate([at.jacobian, row]), at.failed)
 

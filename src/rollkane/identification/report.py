@@ -66,8 +66,8 @@ def rows(fit: Estimates) -> list[Row]:
     held = uncertainty.active(at, layout, z)
     found: list[Row] = []
     for entry in layout.entries:
-        values = entry.shown(z)
-        slope = uncertainty.shown_slope(entry, z)
+        at_minimum = entry.at(z)
+        values, slope = at_minimum.shown, at_minimum.shown_slope
         hidden = uncertainty.hidden(slope, unseen, entry.where)
         labels = entry.transform.labels()
         for label, value, is_hidden in zip(labels, values, hidden, strict=True):

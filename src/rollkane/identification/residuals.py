@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ..codegen.compile_effort import for_many_numbers, for_one_call
+from ..integration.backends import may_go_natively
 from ..simulation.run import simulate
 from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError
@@ -172,7 +174,6 @@ def within(
     return tuple(shorter), counts
 
 
-@eqx.filter_jit
 def linearized(
     slots: Slots,
     model: Model,
@@ -183,6 +184,19 @@ def linearized(
     z: Float[Array, " P"],
 ) -> Linearized:
     """Misfits and their derivatives by a record's coordinates."""
+    program = _beside_c if may_go_natively(options.method) else _by_xla
+    return program(slots, model, groups, counts, start_time, options, z)
+
+
+def _linearized(
+    slots: Slots,
+    model: Model,
+    groups: tuple[Group, ...],
+    counts: tuple[Bool[Array, " T"], ...],
+    start_time: Float[Array, ""],
+    options: RunOptions,
+    z: Float[Array, " P"],
+) -> Linearized:
 
     def misfits(z: Array) -> tuple[Array, Residuals]:
         known = slots.applied(model, z)
@@ -193,6 +207,9 @@ def linearized(
         tuple[Array, Residuals], jax.jacfwd(misfits, has_aux=True)(z)
     )
     return Linearized(found, jacobian)
+
+
+_beside_c, _by_xla = for_one_call(_linearized), for_many_numbers(_linearized)
 
 
 def residuals_of(

@@ -1,13 +1,9 @@
 """How well parameters are known: covariances from J^T J, and what is not seen."""
 
-from collections.abc import Callable
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import gammainc
-from jaxtyping import Array
 
 from .layout import Coordinates, Layout
 from .least_squares import Evaluation
@@ -107,20 +103,6 @@ def hidden(slopes: np.ndarray, unseen: np.ndarray, where: slice) -> np.ndarray:
     return away > _MOVES * size
 
 
-def slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
-    """Derivative of a parameter's entries by its coordinates, shape (n, k)."""
-    flat: Callable[[Array], Array]
-    flat = lambda x: jnp.ravel(entry.transform.value(x))
-    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
-
-
-def shown_slope(entry: Coordinates, z: np.ndarray) -> np.ndarray:
-    """Derivative of its named numbers by its coordinates, shape (m, k)."""
-    flat: Callable[[Array], Array]
-    flat = lambda x: entry.transform.shown(entry.transform.value(x))
-    return np.asarray(cast(Array, jax.jacfwd(flat)(jnp.asarray(z[entry.where]))))
-
-
 def names_of(layout: Layout) -> tuple[str, ...]:
     """Names of the rows of a covariance."""
     return tuple(
@@ -135,7 +117,7 @@ def named_covariance(layout: Layout, z: np.ndarray, known: np.ndarray) -> np.nda
     rows = np.zeros((len(names_of(layout)), layout.size))
     first = 0
     for entry in layout.entries:
-        own = shown_slope(entry, z)
+        own = entry.at(z).shown_slope
         rows[first : first + own.shape[0], entry.where] = own
         first += own.shape[0]
     return rows @ known @ rows.T
@@ -167,13 +149,13 @@ def coordinates_of(entry: Coordinates, value: np.ndarray, z: np.ndarray) -> np.n
     own = z.copy()
     goal = np.ravel(np.asarray(value, float))
     for _ in range(50):
-        away = goal - entry.value(own).ravel()
-        step: np.ndarray = np.linalg.pinv(slope(entry, own)) @ away
+        at = entry.at(own)
+        step: np.ndarray = np.linalg.pinv(at.slope) @ (goal - at.value.ravel())
         own[entry.where] += step
         if np.abs(step).max() <= 1e-13 * (1.0 + np.abs(own[entry.where]).max()):
             break
     found: np.ndarray = own[entry.where]
-    away = np.abs(goal - entry.value(own).ravel())
+    away = np.abs(goal - entry.at(own).value.ravel())
     # as near as the last step of Newton's method allows; a value apart stays apart
     if not np.all(away <= 1e-9 * np.abs(goal).max()):
         return np.full_like(found, np.nan)

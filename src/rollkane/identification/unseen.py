@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from . import uncertainty
 from .layout import Coordinates, Layout
 
 REMEDY = "  Hold one of them, give a prior, or record what depends on it."
@@ -47,8 +46,9 @@ def _orthonormal(rows: np.ndarray, rank: int | None = None) -> np.ndarray:
 
 def _growth(entry: Coordinates, layout: Layout, z: np.ndarray) -> np.ndarray | None:
     """Direction in scaled coordinates that multiplies a parameter; None without one."""
-    value = entry.value(z).ravel()
-    slope = uncertainty.slope(entry, z) * layout.scale[entry.where]
+    known = entry.at(z)
+    value = known.value.ravel()
+    slope = known.slope * layout.scale[entry.where]
     own, *_ = np.linalg.lstsq(slope, value, rcond=None)
     size = np.linalg.norm(value)
     if size == 0.0 or np.linalg.norm(slope @ own - value) > 1e-8 * size:
@@ -105,7 +105,7 @@ def _singles(layout: Layout, z: np.ndarray) -> list[tuple[np.ndarray, str]]:
     """Each coordinate that is one named number by itself."""
     found: list[tuple[np.ndarray, str]] = []
     for entry in layout.entries:
-        slope = uncertainty.shown_slope(entry, z)
+        slope = entry.at(z).shown_slope
         for k in range(slope.shape[1]):
             changed = np.flatnonzero(np.abs(slope[:, k]) > 1e-12 * np.abs(slope).max())
             if changed.size == 1:
@@ -135,8 +135,8 @@ def _combination(row: np.ndarray, layout: Layout, z: np.ndarray) -> str:
     parts: list[tuple[str, float]] = []
     direction = row * layout.scale
     for entry in layout.entries:
-        change = uncertainty.shown_slope(entry, z) @ direction[entry.where]
-        value = entry.shown(z)
+        _, value, _, slope = entry.at(z)
+        change = slope @ direction[entry.where]
         size = np.abs(value).max()
         size = size if size > 0.0 else 1.0
         labels = entry.transform.labels()

@@ -8,6 +8,7 @@ import diffrax as dfx
 import jax
 
 from ..codegen import NoCompilerError, prepare_calls, programs_awaited
+from ..codegen.compiler import compiler_command
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain
 from ..validation.checks import FieldError
@@ -55,6 +56,17 @@ def check_method(method: Any) -> None:
     if method not in METHODS:
         problem, remedy = "is not known", f"use one of {METHODS}"
         raise FieldError("simulate.method", method, problem, remedy)
+
+
+def may_go_natively(method: str) -> bool:
+    """Whether runs may be made by the loop in C, as far as the machine tells."""
+    if method == "diffrax" or jax.default_backend() != "cpu":
+        return False
+    try:
+        compiler_command()
+    except NoCompilerError:
+        return False
+    return True
 
 
 def without_native(

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..codegen.compile_effort import for_one_call
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import (
@@ -250,7 +251,7 @@ def _checked_start(system: KaneSystem, start: object) -> KaneState:
     return KaneState(q, u)
 
 
-@eqx.filter_jit
+@for_one_call
 def _each(observable: Any, system: KaneSystem, time: Array, state: KaneState) -> Any:
     mapped = jax.vmap(observable, in_axes=(None, 0, 0))
     for _ in range(state.q.ndim - 2):

@@ -2,12 +2,12 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..codegen.compile_effort import for_one_call
 from ..geometry.rotations import (
     multiply,
     quaternion_of,
@@ -93,7 +93,7 @@ def _reached(where: str, a: AbstractSurface, on_a: Array, q: Array) -> Array:
     return q
 
 
-@eqx.filter_jit
+@for_one_call
 def _off_plane(a: AbstractSurface, on_a: Array) -> Array:
     """How far a point is from that with its normal which planes touch, by its size."""
     point = a.normal_map(True)
@@ -117,7 +117,7 @@ def _agreeing(where: str, q: Array, gap: Array) -> Array:
     return q
 
 
-@eqx.filter_jit
+@for_one_call
 def aligned(
     a: AbstractSurface, b: AbstractSurface, q: Array, on_a: Array, on_b: Array
 ) -> tuple[Array, Array]:
@@ -128,7 +128,7 @@ def aligned(
     return as_long(multiply(q, shortest_turn(own, wanted)), q), gap
 
 
-@eqx.filter_jit
+@for_one_call
 def _by_angle(
     a: AbstractSurface, b: AbstractSurface, on_a: Array, on_b: Array, angle: Array
 ) -> Array:
@@ -160,7 +160,7 @@ def on_surface(field: str, surface: AbstractSurface, value: Any) -> Array:
     return u
 
 
-@eqx.filter_jit
+@for_one_call
 def _settled(surface: AbstractSurface, u: Array) -> tuple[Array, Array, Array]:
     """Coordinates on their manifold, how far they were from it, and from its end."""
     on = surface.settled(u)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
+from ..codegen.compile_effort import for_one_call
 from ..geometry.surfaces import AbstractSurface
 from ..validation.checks import flag, is_traced, real, spoilt
 from .contact_place import number, placed
@@ -135,7 +136,7 @@ def rolling_along(
     return _checked(where, drive, at, first, second)
 
 
-@eqx.filter_jit
+@for_one_call
 def _evaluated(
     drive: Drive, at: Place, given: Any, second: Any
 ) -> tuple[RollingKinematics, Array]:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import for_one_call
 from ..dynamics.bodies import Body
 from ..geometry.surfaces import (
     AbstractSurface,
@@ -199,7 +200,7 @@ def chart_points(surface: AbstractSurface, q: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(points), points, np.nan)
 
 
-@eqx.filter_jit
+@for_one_call
 def _on_chart(surface: AbstractSurface, q: Float[Array, "n 2"]) -> Float[Array, "n 3"]:
     return jax.vmap(surface.chart)(q)
 

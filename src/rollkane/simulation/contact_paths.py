@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import for_one_call
 from ..geometry.surfaces import AbstractSurface
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.integrate import Problem, checked_times, integrate, tolerances
@@ -160,7 +161,7 @@ def _still(t: Array) -> Array:
     return jnp.zeros_like(t)
 
 
-@eqx.filter_jit
+@for_one_call
 def _along(path: _Path, times: Array, states: _Rolled) -> RollingKinematics:
     return jax.vmap(path.at)(times, states)
 

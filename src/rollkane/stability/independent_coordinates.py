@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import for_one_call
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling import contact_of
@@ -214,7 +215,7 @@ def refuse_rank(basis: np.ndarray) -> None:
         raise FieldError("state", f"one of rank {found}", problem, remedy)
 
 
-@eqx.filter_jit
+@for_one_call
 def _basis(made: IndependentCoordinates) -> Array:
     return made.basis()
 

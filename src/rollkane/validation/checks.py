@@ -112,7 +112,8 @@ def real(
     if is_traced(array):
         return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
-    return jnp.asarray(array)
+    # jnp.asarray would compile a program for each new shape; a copy, as JAX may keep it
+    return jax.device_put(np.array(array))
 
 
 def real_and_known(

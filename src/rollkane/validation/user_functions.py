@@ -94,21 +94,21 @@ class UserFunction(eqx.Module):
         A closure such as ``lambda x, y: a * x**2`` with a traced ``a`` would hide
         ``a`` from differentiation.
         """
-        example = jnp.zeros(count)
         # what it holds itself is no closure
         held, fixed = cast("tuple[Any, Any]", eqx.partition(self, eqx.is_array))
         value: Callable[[Any, Array], Array] = lambda held, u: eqx.combine(held, fixed)(
             u
         )
         try:
-            constants = jax.make_jaxpr(value)(held, example).consts
+            constants = jax.make_jaxpr(value)(held, numbers_of((count,))).consts
         except Exception:
             return None  # said by check_output, with the reason
         if not is_traced(*constants):
             return None
         function = eqx.combine(self._arrays, self._fixed)
         form = self._spread, self._takes_parameters, self.parameters
-        return eqx.filter_closure_convert(lambda u: _call(function, *form, u), example)
+        call: Callable[[Array], Array] = lambda u: _call(function, *form, u)
+        return eqx.filter_closure_convert(call, jnp.zeros(count))
 
     @property
     def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -253,10 +253,24 @@ def accepts(function: Callable[..., Any], count: int) -> bool:
     return True
 
 
+def numbers_of(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
+    """Numbers of a shape that a function is traced with: arrays would be compiled."""
+    return jax.ShapeDtypeStruct(shape, jnp.result_type(float))
+
+
 def check_output(
-    field: str, function: Callable[..., Any], argument: Array, shape: tuple[int, ...]
+    field: str,
+    function: Callable[..., Any],
+    takes: tuple[int, ...],
+    shape: tuple[int, ...],
 ) -> None:
-    """Evaluate the shape of a user's function once, to fail early and clearly.
+    """Find the shape of a user's function once, to fail early and clearly.
+
+    Args:
+        field: Name used in the error.
+        function: Of one array.
+        takes: The array's shape.
+        shape: That its value must have.
 
     Raises:
         FieldError: it raises, or returns something of another shape.
@@ -264,7 +278,7 @@ def check_output(
     wanted = f"an array of shape {shape}" if shape else "one number alone"
     remedy = f"let it return {wanted}, by jax.numpy operations"
     try:
-        result = jax.eval_shape(function, argument)
+        result = jax.eval_shape(function, numbers_of(takes))
     except Exception as error:
         raise FieldError(
             field, function, f"cannot be traced by JAX ({error})", remedy

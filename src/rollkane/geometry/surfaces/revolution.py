@@ -110,7 +110,7 @@ class Revolution(AbstractPointSurface):
         (self.domain,) = domain_of("Revolution.domain", domain, 1)
         self.inside = flag("Revolution.inside", inside)
         meridian = meridian_of(self.profile)
-        check_output("Revolution.profile", meridian, jnp.zeros(()), (2,))
+        check_output("Revolution.profile", meridian, (), (2,))
         if poles is None or rising is None:
             places = sampled(meridian, self.domain)
             poles = found_poles(places) if poles is None else poles

@@ -75,7 +75,7 @@ class Graph(AbstractPairSurface):
         """
         self.f = UserFunction("Graph.f", f, 2, parameters)
         self.domain = domain_of("Graph.domain", domain, 2)
-        check_output("Graph.f", self.f, jnp.zeros(2), ())
+        check_output("Graph.f", self.f, (2,), ())
 
     @property
     def orientation(self) -> float:
@@ -158,7 +158,7 @@ class Parametric(AbstractPointSurface):
         self.inside = flag("Parametric.inside", inside)
         self.domain = domain_of("Parametric.domain", domain, 2)
         self.coordinate_count = count
-        check_output("Parametric.position", self.position, jnp.zeros(count), (3,))
+        check_output("Parametric.position", self.position, (count,), (3,))
 
     @property
     def chart_domain(self) -> Range:
@@ -287,7 +287,7 @@ class Implicit(AbstractPointSurface):
         self.f = UserFunction("Implicit.f", f, 3, parameters)
         self.center = real("Implicit.center", center, (3,), "three lengths in metres")
         self.size = positive("Implicit.size", size, (), "a length in metres")
-        check_output("Implicit.f", self.f, jnp.zeros(3), ())
+        check_output("Implicit.f", self.f, (3,), ())
 
     def onto(self, p: Float[Array, "3"]) -> Float[Array, "3"]:
         """A point near the surface moved onto it along the gradient [m]."""
