@@ -265,10 +265,17 @@ def scene_of(law: str, body: str, base: str, motion: str) -> rk.Scene:
     return rk.Scene(solid, ground, loads=(rk.Gravity(GRAVITY),), contact=LAWS[law]())
 
 
-def start_of(scene: rk.Scene, base: str, seed: int, tries: int = 40):
-    """The first of some random starts that ``place`` accepts."""
+def start_of(scene: rk.Scene, base: str, seed: int, inside: tuple = ()):
+    """The first of some random starts that ``place`` accepts.
+
+    Args:
+        scene: What is placed.
+        base: On what, by its name.
+        seed: Of the starts.
+        inside: Coordinates of what is carried, and their rates.
+    """
     draw = np.random.default_rng(seed)
-    for _ in range(tries):
+    for _ in range(40):
         q = draw.normal(size=4)
         options: dict = {}
         if base == "hoop":
@@ -285,7 +292,8 @@ def start_of(scene: rk.Scene, base: str, seed: int, tries: int = 40):
         with contextlib.suppress(rk.FieldError), warnings.catch_warnings():
             # a base that rocks, or a start high up in a bowl, may pull
             warnings.simplefilter("ignore", UserWarning)
-            return rk.place(scene, q / np.linalg.norm(q), spin, at, **options)
+            q = q / np.linalg.norm(q)
+            return rk.place(scene, q, spin, at, *inside, **options)
     raise AssertionError("no start was accepted")
 
 

@@ -15,22 +15,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rollkane as rk
 
 from . import outputs_alone
-from .outputs_alone import (
-    BASES,
-    BODIES,
-    CENTER,
-    FIRST,
-    GRAVITY,
-    INERTIA,
-    MASS,
-    SECOND,
-)
+from .carried_systems import Seen, System, skew
+from .impact_by_scipy import impact
+from .outputs_alone import BASES, BODIES, FIRST, GRAVITY, SECOND
 
 DURATION = 0.8  # s, of a run
 PARTS, CHANGES = 8, 12  # of a run that are looked at, most
@@ -72,7 +64,7 @@ class Ran(NamedTuple):
 
 
 NAMES = ("position", "orientation", "angular_velocity", "velocity", "contact_on_base")
-NAMES += ("contact_force", "energy", "slip", "mode")
+NAMES += ("contact_force", "energy", "slip", "mode", "alpha", "alpha_dot")
 
 
 @eqx.filter_jit
@@ -102,6 +94,7 @@ class Place(NamedTuple):
         base: Its base's.
         motion: Of its base.
         modes: Its changes.
+        system: The body, with what it carries.
     """
 
     law: str
@@ -109,6 +102,7 @@ class Place(NamedTuple):
     base: str
     motion: str
     modes: rk.Modes
+    system: System
 
     def base_at(self, t: float) -> tuple[np.ndarray, ...]:
         """Rotation and origin of the base, and their rates."""
@@ -231,27 +225,31 @@ def _changes(run: Ran) -> Iterator[Look]:
 
 def _within(place: Place, out: dict, look: Look) -> dict[str, float]:
     """Residuals in the middle of a stencil, of the sizes of their terms."""
-    t, h = look.time, look.step
+    t, h, system = look.time, look.step, place.system
     first = lambda x: np.tensordot(FIRST, x, 1) / h
     R, w, r = (
         outputs_alone._matrices(out["orientation"]),
         *(out[name] for name in ("angular_velocity", "position")),
     )
-    center, force = r + R @ CENTER, out["contact_force"][4]
-    size = np.linalg.norm(force) + 10 * MASS
-    pull = MASS * (np.tensordot(SECOND, center, 1) / h**2 - GRAVITY)
+    flies, force = look.mode == rk.Mode.FLYING, out["contact_force"][4]
+    at = r[4] if flies else place.contact(t, out["contact_on_base"][4])
+    pull, torque, needed = _balance(system, (t, h, R, w, r), out, at)
+    size = np.linalg.norm(force) + 10 * system.mass
     found = {"Newton": np.abs(pull - force).max() / size}
-    torque = first(np.einsum("tij,jk,tlk,tl->ti", R, INERTIA, R, w))
     turning = first(R) @ R[4].T
     spin = np.array([turning[2, 1], turning[0, 2], turning[1, 0]])
     fast = 1 + np.linalg.norm(spin)
     found["turning"] = np.abs(spin - w[4]).max() / fast
-    if look.mode == rk.Mode.FLYING:
+    if system.count:
+        alpha, rate = out["alpha"], out["alpha_dot"][4]
+        most = 1 + np.abs(rate).max()
+        found["turning, alpha"] = np.abs(first(alpha) - rate).max() / most
+        given = system.force(alpha[4], rate)
+        found["Newton, alpha"] = np.abs(needed - given).max() / (0.3 * size)
+    if flies:
         found["force"] = np.abs(force).max()
-        return found | {"Euler": np.abs(torque).max() / (0.1 * fast**2)}
-    at = place.contact(t, out["contact_on_base"][4])
+        return found | {"Euler": np.abs(torque).max() / (0.3 * size)}
     n = place.normal(t, R[4], r[4], at)
-    torque -= np.cross(at - center[4], force)
     if place.law == "rubber" and look.mode == rk.Mode.ROLLING:
         torque -= (torque @ n) * n  # whatever it needs
     found["Euler"] = np.abs(torque).max() / (0.3 * size)
@@ -264,12 +262,33 @@ def _within(place: Place, out: dict, look: Look) -> dict[str, float]:
     elif speed > 1e-6:  # below, forces are as they turn to the slip's end
         wanted = -float(place.modes.friction) * press * slip / speed
         found["friction"] = np.abs(force - press * n - wanted).max() / size
-    if place.motion == "rest":
+    if place.motion == "rest" and not system.parts:
         gain, power = first(out["energy"]), force @ slip
         found["power"] = abs(gain - power) / (
             1 + abs(power) + np.abs(out["energy"]).max()
         )
     return found
+
+
+def _balance(system: System, motion: tuple, out: dict, at: np.ndarray) -> tuple:
+    """What moves the masses: force, torque about a place, generalized forces."""
+    t, h, R, w, r = motion
+    times = t + h * np.arange(-4, 5)
+    seen = system.at(times, out["alpha"], out["alpha_dot"])
+    pull, torque, needed = np.zeros(3), np.zeros(3), np.zeros(system.count)
+    for item, x in zip(system.items, seen, strict=True):
+        place = r + np.einsum("tij,tj->ti", R, x.place)
+        push = item.mass * (np.tensordot(SECOND, place, 1) / h**2 - GRAVITY)
+        pull += push
+        torque += np.cross(place[4] - at, push)
+        needed += push @ R[4] @ x.slopes[4]
+        if item.inertia is not None:
+            A, spin = R @ x.rotation, w + np.einsum("tij,tj->ti", R, x.spin)
+            own = np.einsum("tij,jk,tlk,tl->ti", A, item.inertia, A, spin)
+            turn = np.tensordot(FIRST, own, 1) / h
+            torque += turn
+            needed += turn @ R[4] @ x.turns[4]
+    return pull, torque, needed
 
 
 def _everywhere(seen: Faults, place: Place, run: Ran) -> None:
@@ -306,14 +325,14 @@ def _changed(seen: Faults, place: Place, out: dict, look: Look) -> None:
     after = {name: x[3:].T @ [3, -3, 1] for name, x in out.items() if x.ndim > 1}
     t = look.time
     R = outputs_alone._matrices(before["orientation"][None])[0]
-    seen.see("jump", np.abs(before["position"] - after["position"]).max())
-    turn = after["angular_velocity"] - before["angular_velocity"]
-    kick = after["velocity"] - before["velocity"] + np.cross(turn, R @ CENTER)
+    apart = lambda *names: np.concatenate([after[k] - before[k] for k in names])
+    seen.see("jump", np.abs(apart("position", "alpha")).max())
+    kick = apart("velocity", "angular_velocity", "alpha_dot")
     if look.mode == rk.Mode.FLYING:
-        _landed(seen, place, (t, R, before, after), look.change, MASS * kick, turn)
+        _landed(seen, place, (t, R, before, after), look.change, kick)
         return
     if place.law != "rubber":  # which may end a spin at once
-        seen.see("kick", np.abs(np.concatenate([kick, turn])).max())
+        seen.see("kick", np.abs(kick).max())
     held = float(place.modes.static_friction)
 
     def forces(side: dict) -> tuple[float, float]:
@@ -333,17 +352,24 @@ def _changed(seen: Faults, place: Place, out: dict, look: Look) -> None:
             seen.see("rolls out of the cone", along - held * press)
 
 
-def _landed(seen, place, moment, change, impulse, turn) -> None:
+def _landed(seen, place, moment, change, kick) -> None:
     """An impulse that acts at the contact, and is what Routh and Stronge have it."""
     t, R, before, after = moment
-    r = before["position"]
-    center, size = r + R @ CENTER, np.linalg.norm(impulse)
-    spin = R @ INERTIA @ R.T @ turn
+    r, system = before["position"], place.system
+    now = system.at(np.array([t]), before["alpha"][None], before["alpha_dot"][None])
+    M = system.inertia([Seen(*(a[0] for a in x)) for x in now], R)
+    pushed = M @ kick  # impulse, its torque about the origin, and none on what moves
+    impulse, spin = pushed[:3], pushed[3:6]
+    size = np.linalg.norm(impulse)
     sticks = place.law == "rubber" and change == rk.Mode.ROLLING
-    if sticks or size < 1e-3:  # its torque about the normal is not of the impulse
+    if size < 1e-3:
+        return
+    if system.count:
+        seen.see("impulse on what is carried", np.abs(pushed[6:]).max() / size)
+    if sticks:  # its torque about the normal is not of the impulse
         return
     seen.see("impulse's torque", abs(spin @ impulse) / size**2)
-    way, foot = impulse / size, center + np.cross(impulse, spin) / size**2
+    way, foot = impulse / size, r + np.cross(impulse, spin) / size**2
     along = lambda s: foot + np.multiply.outer(s, way)
     cut = int(BODIES[place.body][1].edge)  # by the surface that it passes through
     level = lambda s: float(place.levels(t, R, r, along(s)[None])[cut][0])
@@ -356,14 +382,14 @@ def _landed(seen, place, moment, change, impulse, turn) -> None:
     if not found:
         return
     at = along(found[int(np.argmin(depths))])
-    n, arm = place.normal(t, R, r, at), at - center
+    n, arm = place.normal(t, R, r, at), at - r
     moving = place.base_velocity(t, at)
     u, u_after = (
-        side["velocity"] + np.cross(side["angular_velocity"], at - r) - moving
+        side["velocity"] + np.cross(side["angular_velocity"], arm) - moving
         for side in (before, after)
     )
-    K = np.cross(np.eye(3), arm)  # K x = x cross arm
-    G = np.eye(3) / MASS + K.T @ np.linalg.solve(R @ INERTIA @ R.T, K)
+    J = np.hstack([np.eye(3), -skew(arm), np.zeros((3, system.count))])
+    G = J @ np.linalg.solve(M, J.T)
     t1 = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
     axes = np.stack([t1 / np.linalg.norm(t1), np.cross(n, t1 / np.linalg.norm(t1)), n])
     numbers = axes @ G @ axes.T, axes @ u, float(place.modes.friction)
@@ -376,69 +402,23 @@ def _landed(seen, place, moment, change, impulse, turn) -> None:
     seen.see("impact", off / np.linalg.norm(u))
 
 
-def impact(G: np.ndarray, u: np.ndarray, mu: float, e: float) -> np.ndarray:
-    """Impulse of an impact, (8.6) to (8.9) of docs/theory.md, the third axis normal.
+def carrying(scene: rk.Scene, system: System) -> rk.Scene:
+    """A scene whose body carries the parts of a system."""
+    known = {name: getattr(scene, name) for name in ("loads", "contact")}
+    return rk.Scene(scene.body, scene.base, supported=system.parts, **known)
+
+
+def released(scene: rk.Scene, base: str, seed: int, inside: tuple = ()) -> Any:
+    """The first of some random starts above the base that ``release`` accepts.
 
     Args:
-        G: Change of the velocity by an impulse.
-        u: Velocity of the point.
-        mu: Friction.
-        e: Restitution.
+        scene: What falls.
+        base: Onto what, by its name.
+        seed: Of the starts.
+        inside: Coordinates of what is carried, and their rates.
     """
-    size, A, b = np.linalg.norm(u), G[:2, :2], G[:2, 2]
-    z = np.concatenate([u, np.zeros(4)])  # velocity, impulse, work
-    goal = None
-    while True:
-        if np.linalg.norm(z[:2]) > 1e-11 * size:
-            z, ended = _slid(G, mu, z, goal, 1e-12 * size)
-            if ended and (goal is not None or e == 0.0):
-                return z[3:6]
-            if ended:
-                goal = (1 - e * e) * z[6]
-                continue
-            z[:2] = 0.0
-        hold = -np.linalg.solve(A, b)
-        if np.linalg.norm(hold) > mu:
-            hold = -mu * _slips_off(mu * A, b)
-        push = np.append(hold, 1.0)
-        du = G @ push
-        if goal is None:
-            p = -z[2] / du[2]
-            work = z[6] + 0.5 * z[2] * p
-            z = np.concatenate([z[:3] + du * p, z[3:6] + push * p, [work]])
-            goal = (1 - e * e) * work
-        p = (np.sqrt(z[2] ** 2 + 2 * du[2] * (goal - z[6])) - z[2]) / du[2]
-        return z[3:6] + push * p
-
-
-def _slips_off(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The direction ``s`` of ``(A + f) s = b``, f positive."""
-    way = lambda f: np.linalg.solve(A + f * np.eye(2), b)
-    f = brentq(lambda f: np.linalg.norm(way(f)) - 1.0, 0.0, np.linalg.norm(b))
-    return way(f)
-
-
-def _slid(G, mu, z, goal, small) -> tuple[np.ndarray, bool]:
-    """To the end of the phase (true), or of the slip."""
-
-    def rates(_, z):
-        speed = np.linalg.norm(z[:2])
-        push = np.append(-mu * z[:2], speed)
-        return np.concatenate([G @ push, push, [speed * z[2]]])
-
-    phase: Any = lambda _, z: z[2] if goal is None else z[6] - goal
-    slip: Any = lambda _, z: np.linalg.norm(z[:2]) - small
-    phase.terminal = slip.terminal = True
-    phase.direction = 1
-    how = {"events": (phase, slip), "method": "DOP853", "rtol": 1e-12, "atol": 1e-15}
-    run = solve_ivp(rates, (0.0, 1e7), z, **how)
-    return run.y[:, -1], len(run.t_events[0]) > 0
-
-
-def released(scene: rk.Scene, base: str, seed: int, tries: int = 40) -> Any:
-    """The first of some random starts above the base that ``release`` accepts."""
     draw = np.random.default_rng(seed)
-    for _ in range(tries):
+    for _ in range(40):
         at = np.array(BASES[base][2](*draw.uniform(-0.5, 0.5, 2)))
         way = draw.normal(size=3)  # an edge has normals all round
         up = way if BASES[base][1].edge else BASES[base][1].normal(at[None])[0]
@@ -446,6 +426,11 @@ def released(scene: rk.Scene, base: str, seed: int, tries: int = 40) -> Any:
         q, spin = draw.normal(size=4), 3.0 * draw.normal(size=3)
         with contextlib.suppress(rk.FieldError):
             return rk.release(
-                scene, q / np.linalg.norm(q), spin, at + up, draw.normal(size=3)
+                scene,
+                q / np.linalg.norm(q),
+                spin,
+                at + up,
+                draw.normal(size=3),
+                *inside,
             )
     raise AssertionError("no start was accepted")
