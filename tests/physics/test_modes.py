@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import rollkane as rk
 from rollkane.validation.checks import FieldError
@@ -453,6 +454,30 @@ def test_a_contact_that_may_pull_begins_to_slip(fall):
     np.testing.assert_allclose(run.switches.time[0], begins, atol=6e-9)
     slips = -0.5 * j * (times[1:] - begins) ** 2
     np.testing.assert_allclose(run.slip[1:, 0], slips, atol=6e-9 * (1.0 + j * 0.2))
+
+
+@pytest.mark.parametrize("across", [2e-7, 9e-7, 3e-6])
+def test_a_slip_that_turns_round_does_not_end(across):
+    """Gravity turns a slip back at 1e-8 to 5e-7 m/s, with no place where it is zero.
+
+    Friction alone acts on it: ``s' = g - 7/2 mu N s / |s|``. Of 1e-3 m/s, some 80
+    steps may miss a billionth each.
+    """
+    mu, pull = 1e-3, (0.3, 0.0, -G)
+    law = rk.Slipping(rk.CoulombFriction(mu))
+    slides = rk.Scene(BALL, loads=(rk.Gravity(pull),), contact=law)
+    first = (-1e-3, across, 0.0)
+    start = rk.place(slides, UP, STILL, STILL, slip=first)
+    scene = rk.Scene(BALL, loads=slides.loads)
+    run = rk.simulate(scene, start, [0.0, 0.01], modes=rk.Modes(friction=mu))
+
+    def rate(t, s):
+        return np.array(pull[:2]) - 3.5 * mu * G * s / np.hypot(*s)
+
+    known = solve_ivp(rate, (0, 0.01), first[:2], "DOP853", rtol=1e-12, atol=1e-20)
+    assert run.succeeded
+    assert run.switches.count == 0
+    np.testing.assert_allclose(run.slip[-1, :2], known.y[:, -1], rtol=0, atol=8e-11)
 
 
 def test_without_friction_a_ball_keeps_its_spin():

@@ -23,7 +23,7 @@ from .event_location import Bracket
 from .mode_rates import picked
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
-from .step_trial import Run, Trials, Tried
+from .step_trial import Run, Trials, Tried, Verdict
 from .transitions import Begun
 from .user_events import (
     Look,
@@ -57,7 +57,7 @@ class Loop(Trials):
         tried = self.tried(c)
         verdict = self.judged(c, tried)
         event, kind, at, end = verdict.event, verdict.kind, c.place, tried.end
-        slid, after = self._behind(at, tried, event, kind)
+        slid, after = self._behind(at, tried, verdict)
         full = event & (c.path.switches.count >= self.motion.modes.switches)
         lost = event & ~jnp.all(jnp.isfinite(pack(after.y)))
         accept = verdict.accept & ~full & ~lost
@@ -110,10 +110,11 @@ class Loop(Trials):
         return run if look is None else self.judged_again(c, tried, look, run)
 
     def _behind(
-        self, at: Place, tried: Tried, event: Bool[Array, ""], kind: Int[Array, ""]
+        self, at: Place, tried: Tried, verdict: Verdict
     ) -> tuple[HybridState, Place]:
         """The end of a step: its state before it changes anything, and what follows."""
         motion, end = self.motion, tried.end
+        event, kind = verdict.event, verdict.kind
         ends = event & motion.ends_slip(at.mode, kind)
         begun = motion.has_begun(at.mode, at.direction, end.y, ends)
         straight = lambda: motion.straightened(end.way, tried.t, end.y, begun)
@@ -122,7 +123,8 @@ class Loop(Trials):
         changed = lambda: motion.changed(*before, event)
         same = lambda: (at.mode, at.direction, slid)
         mode, direction, y = cast(Begun, jax.lax.cond(event, changed, same))
-        return slid, Place(tried.t, y, mode, motion.along(mode, direction, y))
+        way = motion.along(mode, direction, y, verdict.turned)
+        return slid, Place(tried.t, y, mode, way)
 
     def _bounded(
         self, step: Float[Array, ""], record: Record | None

@@ -87,6 +87,7 @@ class Verdict(NamedTuple):
 
     accept: Array
     event: Array
+    turned: Array  # a slip, until it stands across its old direction
     kind: Array
     searching: Array
     bracket: Bracket
@@ -248,7 +249,9 @@ class Trials(eqx.Module):
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
-        return Verdict(accept, event, kind, searching, bracket, step, cuts, stuck)
+        return Verdict(
+            accept, event, turned, kind, searching, bracket, step, cuts, stuck
+        )
 
     def next_step(
         self, c: Run, tried: Tried, size: Float[Array, ""], early: Bool[Array, ""]

@@ -44,16 +44,21 @@ class Motion(ModeRates):
     """
 
     def along(
-        self, mode: Int[Array, ""], direction: Float[Array, "3"], y: HybridState
+        self,
+        mode: Int[Array, ""],
+        direction: Float[Array, "3"],
+        y: HybridState,
+        turned: Bool[Array, ""] | bool = False,
     ) -> Float[Array, "3"]:
         """Direction of the slip, where it is far above the law's smallest.
 
-        Of one that begins where it no longer does.
+        Of one that begins where it no longer does. One that has ``turned`` until it
+        stands across its old direction has its own, too: it would be found there again.
         """
         fast = dot(y.slip, y.slip)
         onset, followed = jnp.asarray((ONSET, FOLLOWED), fast.dtype)
         least = jnp.where(begins(direction), onset, followed)
-        known = (mode == Mode.SLIPPING) & (fast > least**2)
+        known = (mode == Mode.SLIPPING) & ((fast > least**2) | turned)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction
         )
