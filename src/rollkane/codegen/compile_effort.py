@@ -138,12 +138,13 @@ def known(value: Any) -> Known:
     return Known(value)
 
 
-def _stays_as_it_is(tree: Any) -> bool:
+def stays_as_it_is(tree: Any) -> bool:
+    """Whether a tree's numbers can be remembered for as long as it lives."""
     # an array's only leaf is itself, held for ever; a tracer would hold its trace
     return isinstance(tree, eqx.Module) and holds_no_numpy(tree) and not is_traced(tree)
 
 
-@remembered(_stays_as_it_is)
+@remembered(stays_as_it_is)
 def taken_apart(tree: Any) -> tuple[Known, list[Any]]:
     """A tree's structure and its leaves: in place of it arguments of a short call."""
     leaves, structure = cast("tuple[list[Any], Any]", jax.tree.flatten(tree))

@@ -6,6 +6,7 @@ the library only says which function gives the rates.
 
 import dataclasses
 import functools
+import inspect
 import warnings
 from collections.abc import Callable
 from typing import Any, cast
@@ -18,8 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import DTypeLike
 
-from ..codegen import zeros_in
-from ..codegen.compile_effort import Known, around_a_loop, known, taken_apart
+from ..codegen.compile_effort import Known, around_a_loop
 from ..kinematics.coordinates import pack, unpack
 from ..validation.checks import FieldError, cleared, is_traced, real, whole
 from ..validation.codes import NO_FAULT, first_fault
@@ -28,16 +28,15 @@ from .differentiate import differentiable
 from .event_search import Events, Happened
 from .event_times import at_their_zeros
 from .output_times import in_time, moved_in_time, not_by_times
-from .plans import Allowed, Inputs, Plan, Problem, Record, Solution
+from .plans import Inputs, Plan, Record, Solution
 from .projection import Projected
 from .solve import plain, solve
-from .step_control import Stops, of_times, stops_of
+from .step_control import Stops, of_times
 
 # Relative tolerance above which a step may be as wrong as it is long.
 LOOSEST = 0.1
 # Reverse mode of what is not a plain run keeps this many states (about 0.3 kB each).
 _CHECKPOINTS = 4096
-_NO_METER = dfx.NoProgressMeter()
 
 
 class Outcome(eqx.Module):
@@ -66,77 +65,6 @@ class Outcome(eqx.Module):
     rejected_steps: Array
     fault: Array
     happened: Happened | None = None
-
-
-def integrate(
-    problem: Problem,
-    model: Any,
-    start: Any,
-    times: Float[Array, " T"],
-    *,
-    rtol: Any,
-    atol: Any,
-    solver: dfx.AbstractSolver[Any] | None,
-    stepsize_controller: dfx.AbstractStepSizeController[Any, Any] | None,
-    adjoint: dfx.AbstractAdjoint | None,
-    saveat: dfx.SaveAt | None,
-    dt0: Any,
-    max_steps: int | None,
-    progress_meter: dfx.AbstractProgressMeter[Any] | None,
-    native: bool = False,
-    allowed: Allowed | None = None,
-    events: Events = (),
-) -> Outcome:
-    """Integrate a start to the asked times; see ``rollkane.simulate``.
-
-    Args:
-        problem: Which function gives the rates.
-        model: Tree of numbers that it depends on; differentiable.
-        start: State at the first time; differentiable.
-        times: Checked output times [s].
-        rtol: Relative tolerance of a step [1], or None.
-        atol: Absolute tolerance of a step [unit of the state], or None.
-        solver: diffrax solver, or None for the default.
-        stepsize_controller: diffrax controller, or None.
-        adjoint: diffrax adjoint, or None.
-        saveat: diffrax ``SaveAt``, or None.
-        dt0: First step [s], or None.
-        max_steps: Most steps, or None.
-        progress_meter: diffrax progress meter, or None.
-        native: Whether the loop is the one in C, which has diffrax's explicit methods
-            and no controller, adjoint, ``saveat`` and progress meter of the user's.
-        allowed: ``allowed(model, t, state)`` -> whether a step may end there; None:
-            anywhere.
-        events: What is looked for along the run; differentiable.
-
-    Raises:
-        FieldError: tolerances out of range.
-        NotElementwiseError: the rates are more than arithmetic, and cannot be in C.
-        NoCompilerError: there is no C compiler.
-    """
-    dtype = times.dtype
-    by_size = atol is None
-    rtol, atol = tolerances(rtol, atol, dtype)
-    check_steps(max_steps, dt0)
-    plan = Plan(
-        problem=problem,
-        solver=default_solver(rtol) if solver is None else solver,
-        controller=stepsize_controller,
-        adjoint=adjoint,
-        saveat=saveat,
-        max_steps=max_steps,
-        progress_meter=_NO_METER if progress_meter is None else progress_meter,
-        zeros=zeros_in(model) if native else None,
-        allowed=allowed,
-    )
-    numbers = [_scalar(rtol, dtype), _scalar(atol, dtype), np.asarray(by_size)]
-    dt0 = None if dt0 is None else _scalar(dt0, dtype)
-    arrays = None
-    if stepsize_controller is not None or saveat is not None:
-        arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
-    structure, leaves = taken_apart(model)
-    rest = arrays, leaves, start, times, stops_of(times), numbers, dt0, events
-    return (_around_loop if native else _integrate)(known(plan), structure, *rest)
 
 
 def _integrated(
@@ -233,18 +161,26 @@ def _outcome(found: Solution, like: Any, fault: Array) -> Outcome:
 
 # plain jit: a model is a tree of arrays, and eqx.filter_jit costs 0.1 ms a call more
 _jit = functools.partial(jax.jit, static_argnums=(0, 1))
-_integrate: Callable[..., Outcome] = _jit(_integrated)
-_around_loop: Callable[..., Outcome] = around_a_loop(_integrated, _jit)
+by_xla: Callable[..., Outcome] = _jit(_integrated)
+around_loop: Callable[..., Outcome] = around_a_loop(_integrated, _jit)
 
 
 _warned: set[str] = set()
 
 
-def _warn_once(kind: type[Warning], what: str, text: str, below: int = 4) -> None:
-    """Warn of something once, at the line of the caller that many levels up."""
-    if what not in _warned:
-        _warned.add(what)
-        warnings.warn(text, kind, stacklevel=below)
+def _warn_once(kind: type[Warning], what: str, text: str) -> None:
+    """Warn of something once, at the line that called into the library."""
+    if what in _warned:
+        return
+    _warned.add(what)
+    frame, level = inspect.currentframe(), 1
+    while frame is not None and _is_own(frame.f_globals.get("__name__", "")):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, kind, stacklevel=level)
+
+
+def _is_own(module: str) -> bool:
+    return module.partition(".")[0] == __name__.partition(".")[0]
 
 
 def warn_single_precision(dtype: np.dtype[Any]) -> None:
@@ -266,7 +202,6 @@ def warn_without_compiler(why: str) -> None:
         "compiler",
         f"the loop in C is not to be had here, and diffrax takes its place, some ten "
         f"times slower: {why}",
-        below=5,
     )
 
 
@@ -284,10 +219,6 @@ def check_steps(max_steps: Any, dt0: Any) -> None:
             problem = "must be a positive number, backwards in time, too"
             remedy = "give the length of the first step [s], or leave it out"
             raise FieldError("simulate.dt0", dt0, problem, remedy)
-
-
-def _scalar(x: Any, dtype: np.dtype[Any]) -> Any:
-    return x.astype(dtype) if is_traced(x) else np.asarray(x, dtype)
 
 
 def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:

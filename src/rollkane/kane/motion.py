@@ -13,13 +13,9 @@ from jaxtyping import Array, Float, Int
 from ..codegen.compile_effort import for_one_call
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.diffrax_checks import check_kinds
-from ..integration.integrate import (
-    Problem,
-    checked_times,
-    integrate,
-    tolerances,
-    warn_single_precision,
-)
+from ..integration.integrate import checked_times, tolerances, warn_single_precision
+from ..integration.plans import Problem
+from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
 from ..validation.checks import FieldError
 from ..validation.codes import NO_FAULT, Code, Fields
@@ -171,9 +167,8 @@ def simulate(
     times = checked_times(times, dtype)
     rtol, atol = tolerances(rtol, atol, dtype)
     refuse_start(system, times[0], start, rtol)
-    run = functools.partial(
-        integrate,
-        *(_PROBLEM, system, start, times),
+    ready = prepared(
+        *(_PROBLEM, system, times),
         rtol=rtol,
         atol=atol,
         solver=solver,
@@ -184,6 +179,7 @@ def simulate(
         max_steps=max_steps,
         progress_meter=progress_meter,
     )
+    run = functools.partial(ready, start)
     kind = "kane", type(solver)
     outcome, method, why = run_by(method, refusal, kind, (system, start), run)
     state, final = outcome.state, outcome.final_state

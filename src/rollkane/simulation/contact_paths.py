@@ -12,7 +12,9 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..geometry.surfaces import AbstractSurface
 from ..integration.backends import check_method, run_by, without_native
-from ..integration.integrate import Problem, checked_times, integrate, tolerances
+from ..integration.integrate import checked_times, tolerances
+from ..integration.plans import Problem
+from ..integration.prepared import prepared
 from ..kinematics.contact_place import aligned
 from ..kinematics.montana import rolling_along
 from ..kinematics.rolling_pair import RollingKinematics, driven, rolled
@@ -148,9 +150,8 @@ def rolling_path(
     rtol, atol = tolerances(rtol, None, times.dtype)
     options = ("solver", "stepsize_controller", "adjoint", "saveat", "dt0", "max_steps")
     unset: Any = dict.fromkeys((*options, "progress_meter"))
-    run = functools.partial(
-        integrate, *(_PROBLEM, path, start, times), rtol=rtol, atol=atol, **unset
-    )
+    ready = prepared(_PROBLEM, path, times, rtol=rtol, atol=atol, **unset)
+    run = functools.partial(ready, start)
     kind = "rolling path", on
     outcome, *_ = run_by(method, without_native(None, {}), kind, (path, start), run)
     _refuse_stopped(outcome.code, curve)

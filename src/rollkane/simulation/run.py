@@ -4,13 +4,9 @@ import functools
 from typing import Any, cast
 
 import diffrax as dfx
-import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from ..codegen import zeros_in
-from ..codegen.compile_effort import around_a_loop
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
 from ..dynamics.consistency import consistent
 from ..dynamics.events import Event
@@ -23,39 +19,23 @@ from ..dynamics.rolling_problem import (
     unbroken,
 )
 from ..dynamics.scene import Scene
-from ..hybrid.hybrid_run import integrate_modes
-from ..hybrid.modes import HybridScene, Modes
-from ..hybrid.outcome import HybridOutcome
-from ..integration.backends import check_method, run_by, without_native
+from ..hybrid.modes import Modes
+from ..integration.backends import check_method, without_native
 from ..integration.diffrax_checks import check_kinds
-from ..integration.integrate import (
-    Outcome,
-    Problem,
-    check_steps,
-    checked_times,
-    default_solver,
-    integrate,
-    tolerances,
-    warn_single_precision,
-)
-from ..integration.plans import UNRECORDED_STEPS
+from ..integration.integrate import Outcome, checked_times, warn_single_precision
+from ..integration.plans import Problem
+from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy, check_keeps_energy
-from ..integration.step_control import Stops, stops_of
-from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState, VoronetsState
 from ..paper.conversions import to_pole_free, to_voronets
 from ..paper.euler_lagrange import euler_lagrange_derivative
 from ..validation.checks import FieldError, flag, is_traced
 from ..validation.codes import NO_FAULT, is_stuck
-from .event_record import events_in_modes, events_of, record_of
-from .precision import in_one_precision, in_precision
-from .run_checks import (
-    check_law,
-    check_modes,
-    check_scene,
-    check_span,
-    check_start,
-)
+from .event_record import events_of, record_of
+from .known_calls import ReadyCall, calls_of, keep_call, key_of_call
+from .precision import in_one_precision
+from .run_checks import check_law, check_scene, check_span, check_start
+from .run_with_modes import ready_with_modes
 from .trajectory import Trajectory
 
 # what the loop in C does not have
@@ -151,76 +131,75 @@ def simulate(
             convex.
     """
     check_scene("simulate", scene, start)
-    scene, start = in_one_precision(scene, start)
-    _check_names(formulation, coordinates)
-    check_method(method)
-    parts = {
+    parts: dict[str, Any] = {
         "stepsize_controller": stepsize_controller,
         "adjoint": adjoint,
         "saveat": saveat,
         "progress_meter": progress_meter,
     }
+    options = rtol, atol, formulation, coordinates, solver, dt0, max_steps, method
+    unusual = events, stop, *parts.values()
+    key = key_of_call(start, times, modes, (*options, second_contact), unusual)
+    if key is not None and (ready := calls_of(scene).get(key)) is not None:
+        return ready(method, scene, start)
+    given = scene, start
+    scene, start = in_one_precision(scene, start)
+    _check_names(formulation, coordinates)
+    check_method(method)
     check_kinds("simulate", solver=solver, **parts)
     check_law(scene, formulation, coordinates)
     if isinstance(solver, KeepingEnergy):
         check_keeps_energy("simulate.scene", scene)
-    options = {
+    chosen = {
         "formulation": formulation != "rolling",
         "coordinates": coordinates != "pole-free",
         "dt0": dt0 is not None,
     }
-    options |= {name: part is not None for name, part in parts.items()}
+    chosen |= {name: part is not None for name, part in parts.items()}
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
+    steps: dict[str, Any] = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
     if modes is not None:
-        _refuse("modes", options)
-        how = rtol, atol, solver, max_steps, looks, method, events, stop
-        return _simulate_modes(scene, start, times, modes, *how)
-    foreign = {"second_contact": looks}
-    foreign |= {name: options[name] for name in _DIFFRAX_ALONE}
-    if method == "native":
-        _refuse("method", foreign)
-    check_start(scene, start)
-    dtype = start.angular_velocity.dtype
-    warn_single_precision(dtype)
-    times = checked_times(times, dtype)
-    check_span(scene, times)
-    start = _in_coordinates(coordinates, scene, start, times[0])
-    watched = events_of(events, stop, scene, times[0], start)
-    if watched:
-        _refuse("events", {name: options[name] for name in _WITHOUT_EVENTS})
-    run = functools.partial(
-        integrate,
-        *(_PROBLEMS[formulation], scene, start, times),
-        rtol=rtol,
-        atol=atol,
-        solver=solver,
-        stepsize_controller=stepsize_controller,
-        adjoint=adjoint,
-        saveat=saveat,
-        dt0=dt0,
-        max_steps=max_steps,
-        progress_meter=progress_meter,
-        allowed=is_apart if looks else None,
-        events=watched,
-    )
-    refusal = without_native(solver, foreign)
-    kind = formulation, coordinates, type(solver)
-    model = (scene, start, watched) if watched else (scene, start)
-    outcome, method, why = run_by(method, refusal, kind, model, run)
-    code = _code_at(outcome, scene, looks)
-    return _trajectory(scene, outcome, watched, code, method, why)
+        _refuse("modes", chosen)
+        looked_for = looks, events, stop
+        ready = ready_with_modes(
+            *(scene, start, times, modes, solver, *looked_for), **steps
+        )
+    else:
+        foreign = {"second_contact": looks} | _of(chosen, _DIFFRAX_ALONE)
+        if method == "native":
+            _refuse("method", foreign)
+        start, times = _checked(scene, start, times, coordinates)
+        watched = events_of(events, stop, scene, times[0], start)
+        if watched:
+            _refuse("events", _of(chosen, _WITHOUT_EVENTS))
+        run = prepared(
+            *(_PROBLEMS[formulation], scene, times),
+            **(steps | parts),
+            solver=solver,
+            dt0=dt0,
+            allowed=is_apart if looks else None,
+            events=watched,
+        )
+        kind = formulation, coordinates, type(solver)
+        shown = functools.partial(_trajectory, watched, looks)
+        refusal = without_native(solver, foreign)
+        ready = ReadyCall(run, refusal, kind, watched, shown)
+    if key is not None and scene is given[0] and start is given[1]:
+        keep_call(scene, key, ready)
+    return ready(method, scene, start)
 
 
 def _trajectory(
+    events: tuple[Event, ...],
+    looks: bool,
     scene: Scene,
     outcome: Outcome,
-    events: tuple[Event, ...],
-    code: Array,
     method: str,
     why: str,
 ) -> Trajectory:
     # in a tenth of the time of as many attributes
-    parts: dict[str, Any] = dict(vars(outcome)) | {"code": code}
+    parts: dict[str, Any] = dict(vars(outcome))
+    parts["code"] = _code_at(outcome, scene, looks)
     found = parts.pop("happened")
     return Trajectory(
         scene=scene,
@@ -231,110 +210,28 @@ def _trajectory(
     )
 
 
+def _checked(
+    scene: Scene, start: AnyState, times: Any, coordinates: str
+) -> tuple[AnyState, Float[Array, " T"]]:
+    """A start of one law in the asked coordinates, and times, that fit the scene."""
+    check_start(scene, start)
+    dtype = start.angular_velocity.dtype
+    warn_single_precision(dtype)
+    times = checked_times(times, dtype)
+    check_span(scene, times)
+    return _in_coordinates(coordinates, scene, start, times[0]), times
+
+
+def _of(given: dict[str, bool], names: tuple[str, ...]) -> dict[str, bool]:
+    return {name: given[name] for name in names}
+
+
 def _refuse(having: str, given: dict[str, bool]) -> None:
     for name, is_given in given.items():
         if is_given:
             remedy = f"leave {name} out, or {having}"
             problem = f"cannot be chosen with {having}"
             raise FieldError(f"simulate.{name}", "...", problem, remedy)
-
-
-def _simulate_modes(
-    scene: Scene,
-    start: Any,
-    times: Any,
-    modes: Any,
-    rtol: float | None,
-    atol: float | None,
-    solver: dfx.AbstractSolver[Any] | None,
-    max_steps: int | None,
-    looks: bool,
-    method: str,
-    events: Any,
-    stop: Any,
-) -> Trajectory:
-    """A run that changes between rolling, slipping and flight."""
-    check_modes(scene, start, modes)
-    dtype = start.angular_velocity.dtype
-    modes = in_precision(dtype, modes)
-    warn_single_precision(dtype)
-    times = checked_times(times, dtype)
-    if not is_traced(times) and times[-1] < times[0]:
-        raise FieldError(
-            "simulate.times", times, "run backwards", "let them increase with modes"
-        )
-    check_span(scene, times)
-    by_size = atol is None
-    rtol, atol = tolerances(rtol, atol, dtype)
-    check_steps(max_steps, None)
-    scene = HybridScene(scene, modes)
-    watched = events_in_modes(events, stop, scene, jnp.asarray(times[0]), start)
-    run = functools.partial(
-        _run_modes,
-        scene,
-        start,
-        jnp.asarray(times),
-        stops_of(times, 100.0 * float(np.finfo(times.dtype).eps)),
-        jnp.asarray(rtol, dtype),
-        jnp.asarray(atol, dtype),
-        jnp.asarray(by_size),
-        default_solver(rtol) if solver is None else solver,
-        UNRECORDED_STEPS if max_steps is None else max_steps,
-        looks,
-        watched,
-    )
-    refusal = without_native(None, {})
-    model = (scene, start, watched) if watched else (scene, start)
-    outcome, method, why = run_by(method, refusal, ("modes", looks), model, run)
-    found = outcome.happened
-    return Trajectory(
-        time=jnp.asarray(times),
-        state=outcome.state,
-        scene=scene,
-        code=outcome.code,
-        final_time=outcome.final_time,
-        final_state=outcome.final_state,
-        steps=outcome.steps,
-        rejected_steps=outcome.rejected_steps,
-        switches=outcome.switches,
-        fault=outcome.fault,
-        event_record=None if found is None else record_of(watched, found),
-        method=method,
-        why=why,
-    )
-
-
-def _run_modes(scene: HybridScene, *arguments: Any, native: bool) -> Any:
-    """See :func:`_through_changes`."""
-    zeros = zeros_in(scene) if native else None
-    return (_around_loop if native else _by_xla)(zeros, scene, *arguments)
-
-
-def _through_changes(
-    zeros: tuple[bytes, ...] | None,
-    scene: HybridScene,
-    start: State,
-    times: Float[Array, " T"],
-    stops: Stops,
-    rtol: Float[Array, ""],
-    atol: Float[Array, ""],
-    by_size: Bool[Array, ""],
-    solver: dfx.AbstractSolver[Any],
-    max_steps: int,
-    looks: bool,
-    events: tuple[Event, ...],
-) -> HybridOutcome:
-    return integrate_modes(
-        *(scene, start, times, stops, rtol, atol, by_size),
-        *(solver, max_steps, corners),
-        allowed=is_apart if looks else None,
-        zeros=zeros,
-        events=events,
-    )
-
-
-_by_xla = eqx.filter_jit(_through_changes)
-_around_loop = around_a_loop(_through_changes)
 
 
 def _spin(state: AnyState) -> Float[Array, "3"]:
