@@ -16,6 +16,7 @@ from rollkane.codegen import compiler as compilers
 from rollkane.files.scene_files.loading import builtin_scenes, load_scene
 from rollkane.integration import backends as methods
 from rollkane.integration import integrate as integration
+from rollkane.integration.prepared import Prepared
 
 from .. import problems
 
@@ -135,11 +136,9 @@ def test_rates_that_search_are_tried_once(monkeypatch):
     assert run.method == "diffrax"
     assert "more than arithmetic: while" in run.why
     asked = []
-    traced = integration.integrate
-    note = lambda *a, native, **k: (
-        asked.append(native) or traced(*a, native=native, **k)
-    )
-    monkeypatch.setattr("rollkane.simulation.run.integrate", note)
+    traced = Prepared.__call__
+    note = lambda *a, native: asked.append(native) or traced(*a, native=native)
+    monkeypatch.setattr(Prepared, "__call__", note)
     assert short(scene, start).why == run.why
     assert asked == [False]
     with pytest.raises(rk.FieldError, match="more than arithmetic: while"):
