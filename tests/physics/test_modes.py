@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rollkane as rk
+from rollkane.dynamics.observables import friction_ratio
 from rollkane.validation.checks import FieldError
 from tests.problems import reference_case
 
@@ -454,6 +455,40 @@ def test_a_contact_that_may_pull_begins_to_slip(fall):
     np.testing.assert_allclose(run.switches.time[0], begins, atol=6e-9)
     slips = -0.5 * j * (times[1:] - begins) ** 2
     np.testing.assert_allclose(run.slip[1:, 0], slips, atol=6e-9 * (1.0 + j * 0.2))
+
+
+def test_a_contact_whose_force_vanishes_slips_before_it_lifts():
+    """Of a ball whose mass centre is off its middle, held ever better by friction.
+
+    Where it lifts the friction that it needs has not vanished, so its grip is lost
+    first, though up to 1e-4 of the time of a step: at the edge of the cone.
+    """
+    solid = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1), (0.0, 0.0, -0.06))
+    scene = rk.Scene(solid)
+    start = rk.place(scene, UP, (0.0, -30.0, 0.0), STILL)
+
+    def first_change(spin, mu):
+        spun = jnp.stack([0.0 * spin, -spin, 0.0 * spin])
+        begin = eqx.tree_at(lambda s: s.angular_velocity, start, spun)
+        modes = rk.Modes(friction=mu)
+        run = rk.simulate(scene, begin, [0.0, 0.3], modes=modes, rtol=1e-9)
+        changes = run.switches
+        state = jax.tree.map(lambda x: x[0], changes.state)
+        share = friction_ratio(scene, changes.time[0], state.rolling())
+        return run.code, changes.before[0], changes.after[0], share
+
+    # of 120 spins from 10 to 40 rad/s this one met its lift-off and lost its grip
+    # in one step, which ended on the lift-off; and some around it
+    spins = 38.48739495798319 + np.linspace(-1.0, 1.0, 21)
+    spins, grips = np.meshgrid(spins, [1.0, 3.0, 6.0, 10.0, 30.0])
+    run = jax.jit(jax.vmap(first_change))(spins.ravel(), grips.ravel())
+    code, before, after, share = map(np.asarray, run)
+    assert (code == rk.Code.COMPLETED).all()
+    assert (before == rk.Mode.ROLLING).all()
+    assert (after == rk.Mode.SLIPPING).all()
+    # the cone's edge to 1e-12 of the force where the step began (7 to 90 N), by forces
+    # along the surface of 2 N and more, and by 30 twice over in a share
+    np.testing.assert_allclose(share, grips.ravel(), rtol=3e-9)
 
 
 @pytest.mark.parametrize("across", [2e-7, 9e-7, 3e-6])

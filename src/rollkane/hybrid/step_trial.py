@@ -212,8 +212,7 @@ class Trials(eqx.Module):
         # an output right behind an event: too close for anything to happen between
         blinks = (tried.lands | c.looks) & (taken <= tiny) & (size <= 1.0)
         negative = ~(least >= self.least_value(c)) & ~blinks
-        # where the contact ends, so does its grip: what counts is that it ends
-        kind = jnp.where(share[1] <= _TOGETHER, 1, jnp.argmin(share))
+        kind = self.first_of(c, tried.end.values, share)
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
         behind = jnp.isnan(c.values[0]) & negative & known
@@ -252,6 +251,22 @@ class Trials(eqx.Module):
         return Verdict(
             accept, event, turned, kind, searching, bracket, step, cuts, stuck
         )
+
+    def first_of(
+        self, c: Run, values: Float[Array, "2"], share: Float[Array, "2"]
+    ) -> Array:
+        """Which event comes first, of those that a step ends behind: the worst.
+
+        Where the contact ends, so does its grip: what counts is that it ends, if no
+        friction is left there. Else the grip was lost before, and is looked for.
+        """
+        worst, hold = jnp.argmin(share), self.motion.modes.static_friction
+        least = -_TOGETHER * _scale(c.values)[0]
+        if hold is not None:
+            # of friction in proportion to the normal force, behind its zero
+            spent = 2.0 * hold * jnp.abs(values[1]) + _TOGETHER * _scale(c.values)[1]
+            least = jnp.where(c.place.mode == Mode.ROLLING, -spent, least)
+        return jnp.where((share[1] <= _TOGETHER) & (values[0] >= least), 1, worst)
 
     def next_step(
         self, c: Run, tried: Tried, size: Float[Array, ""], early: Bool[Array, ""]
