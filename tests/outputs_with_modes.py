@@ -331,7 +331,8 @@ def _changed(seen: Faults, place: Place, out: dict, look: Look) -> None:
     if look.mode == rk.Mode.FLYING:
         _landed(seen, place, (t, R, before, after), look.change, kick)
         return
-    if place.law != "rubber":  # which may end a spin at once
+    # rubber may end a spin at once where it grips
+    if place.law != "rubber" or look.change != rk.Mode.ROLLING:
         seen.see("kick", np.abs(kick).max())
     held = float(place.modes.static_friction)
 

@@ -140,3 +140,31 @@ def test_a_grip_on_rubber_ends_the_spin_and_only_takes_energy():
     assert len(rolling) > 5
     np.testing.assert_allclose(rolling, rolling[0], rtol=1e-8)
     assert (np.diff(energy) < 1e-8).all()
+
+
+def test_a_slip_that_lifts_off_keeps_its_velocities():
+    """While it slips it may turn about the normal, and it does as it lifts off."""
+    solid = rk.Body(1.5, np.diag([0.05, 0.07, 0.09]), rk.Ellipsoid((0.4, 0.3, 0.25)))
+    base = rk.Base(rk.Sphere(1.0))
+    law = rk.Slipping(rk.CoulombFriction(0.05))
+    start = rk.place(
+        rk.Scene(solid, base, contact=law),
+        np.array([0.9, 0.3, -0.2, 0.1]) / np.sqrt(0.95),
+        (0.5, -1.0, 4.0),
+        (0.1, 0.0, np.sqrt(0.99)),
+        slip=(0.5, 0.0, 0.0),
+    )
+    scene = rk.Scene(solid, base, contact=rk.RubberRolling())
+    modes = rk.Modes(friction=0.05)
+    found = rk.simulate(scene, start, [0.0, 1.0], modes=modes)
+    lifts = found.switches.time[0]
+    assert found.switches.after[0] == rk.Mode.FLYING
+    assert found.switches.before[0] == rk.Mode.SLIPPING
+    beside = 1e-7  # s, in which velocities of 10 rad/s and m/s change by 1e-5 at most
+    times = jnp.stack([jnp.zeros_like(lifts), lifts - beside, lifts + beside])
+    run = rk.simulate(scene, start, times, modes=modes)
+    np.testing.assert_allclose(run.velocity[2], run.velocity[1], atol=1e-5)
+    spin = run.angular_velocity
+    np.testing.assert_allclose(spin[2], spin[1], atol=1e-5)
+    # friction alone takes energy: 0.05 of a normal force that has vanished
+    np.testing.assert_allclose(run.energy[2], run.energy[1], rtol=1e-9)

@@ -36,6 +36,8 @@ from .user_events import (
 
 # Accepted steps that a derivative can follow: about 0.3 kB each.
 RECORDED_STEPS = 2**14
+# Of a body's reach: deeper than rounding, or what a flight may be wrong by
+_DEEP = 1e-9
 
 
 class Loop(Trials):
@@ -87,6 +89,8 @@ class Loop(Trials):
         code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
         code = jnp.where(lost, self.code_of_loss(at.mode), code)
+        deep = (verdict.stuck | lost) & self.lifts_into_its_base(c, tried)
+        code = jnp.where(deep, Code.SECOND_CONTACT, code)
         values = self.values_after(c, end.values, event, after)
         path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:
@@ -181,6 +185,18 @@ class Loop(Trials):
         values = jnp.where(slides, values.at[0].set(slip), values)
         behind = jnp.isnan(c.values[0]) & ~jnp.all(values >= 0.0)
         return jnp.where(event | behind, jnp.nan, values)
+
+    def lifts_into_its_base(self, c: Run, tried: Tried) -> Array | bool:
+        """Whether a flight cannot begin, as the body is in its base elsewhere.
+
+        It came there in contact, when only the contact is looked at.
+        """
+        if self.reach is None:
+            return False
+        begins = (c.path.switches.count > 0) & jnp.isnan(c.values[0])
+        depth = -tried.end.values[0]
+        flies = c.place.mode == Mode.FLYING
+        return flies & begins & (depth > _DEEP * self.reach)
 
     def code_of_loss(self, mode: Int[Array, ""]) -> Array:
         """Why there is no state behind an event."""

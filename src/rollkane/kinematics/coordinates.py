@@ -188,8 +188,8 @@ class SlidingState(State):
     slips: ClassVar[bool] = True
 
     def contact(self, pair: Pair) -> Contact:
-        """Its contact."""
-        return self._contact(pair, self.slip)
+        """Its contact, about whose normal it may turn, on rubber too."""
+        return self._contact(pair._replace(without_spin=False), self.slip)
 
     def _rates(self, contact: Contact, known: Accelerations) -> Self:
         """Rates of a state that slips.
