@@ -168,3 +168,16 @@ def test_a_slip_that_lifts_off_keeps_its_velocities():
     np.testing.assert_allclose(spin[2], spin[1], atol=1e-5)
     # friction alone takes energy: 0.05 of a normal force that has vanished
     np.testing.assert_allclose(run.energy[2], run.energy[1], rtol=1e-9)
+
+
+def test_rubber_that_can_neither_grip_nor_slip_says_so():
+    """A wire that rolls without a spin needs more friction than one that may spin."""
+    solid = rk.Body(1.0, np.diag([0.04, 0.04, 0.08]), rk.Ring(0.4))
+    scene = rk.Scene(solid, contact=rk.RubberRolling())
+    lean = np.cos(0.6), np.sin(0.6), 0.0, 0.0
+    start = rk.place(scene, lean, (0.1, -0.5, 1.4), (0.0, 0.0, 0.0))
+    run = rk.simulate(scene, start, [0.0, 2.0], modes=rk.Modes(friction=0.3))
+    assert run.code == rk.Code.NEITHER_GRIPS_NOR_SLIPS
+    assert "use Rolling()" in run.reason
+    free = eqx.tree_at(lambda s: s.contact, scene, rk.Rolling())
+    assert rk.simulate(free, start, [0.0, 2.0], modes=rk.Modes(friction=0.3)).succeeded

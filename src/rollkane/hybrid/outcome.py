@@ -57,10 +57,13 @@ def ended(
     stuck = (code == Code.STEP_TOO_SMALL) & (c.accepted == 0)
     code = jnp.where(stuck, Code.BAD_START, code)
     code = _explained(motion, allowed, code, c.place)
-    if motion.lands and may_touch_twice(motion.scenes.rolling):
+    many, rolls = code == Code.TOO_MANY_SWITCHES, motion.scenes.rolling
+    if motion.lands and may_touch_twice(rolls):
         several = _at_several_places(c.path.switches)
-        many = code == Code.TOO_MANY_SWITCHES
         code = jnp.where(many & several, Code.SECOND_CONTACT, code)
+    if rolls.contact.without_spin:
+        between = _slips_on_and_on(c.path.switches)
+        code = jnp.where(many & between, Code.NEITHER_GRIPS_NOR_SLIPS, code)
     good = fault == NO_FAULT
     code = jnp.where(good, code, code_of_fault)
     t, last, rejected = c.place.t, c.place.moded, c.tried - c.accepted
@@ -102,18 +105,32 @@ def _explained(
 
 
 def _at_several_places(switches: Switches) -> Bool[Array, ""]:
-    """Whether the last four changes were at one time, and not all at one place.
+    """Whether the last four changes were at one time, and not all at one place."""
+    rows, at_once = _last_four(switches)
+    places = switches.state.contact_on_base[rows]
+    apart = jnp.max(places, axis=0) - jnp.min(places, axis=0)
+    # by more than half of the digits
+    half = float(np.finfo(places.dtype).eps) ** 0.5
+    return at_once & jnp.any(apart > half * jnp.max(jnp.abs(places)))
+
+
+def _slips_on_and_on(switches: Switches) -> Bool[Array, ""]:
+    """Whether a slip ended and began four times at one time, the last ones."""
+    rows, at_once = _last_four(switches)
+    both = jnp.stack([switches.before[rows], switches.after[rows]])
+    return at_once & jnp.all(both == Mode.SLIPPING)
+
+
+def _last_four(switches: Switches) -> tuple[Int[Array, "4"], Bool[Array, ""]]:
+    """The last four changes, and whether they were at one time.
 
     That is within a thousand roundings: to touch at one place and be found to touch at
     the other takes twenty (5e-15 s at 0.2 s, of a rod on two humps).
     """
     rows = jnp.maximum(switches.count - 4 + jnp.arange(4), 0)
-    times, places = switches.time[rows], switches.state.contact_on_base[rows]
-    rounding = float(np.finfo(times.dtype).eps)
-    at_once = times[-1] - times[0] <= 1e3 * rounding * (1.0 + jnp.abs(times[-1]))
-    apart = jnp.max(places, axis=0) - jnp.min(places, axis=0)
-    # by more than half of the digits
-    return at_once & jnp.any(apart > rounding**0.5 * jnp.max(jnp.abs(places)))
+    times = switches.time[rows]
+    least = 1e3 * float(np.finfo(times.dtype).eps) * (1.0 + jnp.abs(times[-1]))
+    return rows, times[-1] - times[0] <= least
 
 
 def outcome_of(

@@ -34,6 +34,7 @@ class Code:
     STOPPED = 12
     EVENT_NOT_FINITE = 13
     INTERRUPTED = 14
+    NEITHER_GRIPS_NOR_SLIPS = 15
 
 
 _REASONS = {
@@ -69,6 +70,9 @@ _REASONS = {
     Code.STOPPED: "an event with stop=True ended the run",
     Code.EVENT_NOT_FINITE: "an event's function gave NaN: nothing is known of it from "
     "final_time and final_state on",
+    Code.NEITHER_GRIPS_NOR_SLIPS: "rubber has no motion here: to roll without a spin "
+    "its contact needs more friction than there is, and free to spin it is held by "
+    "less; use Rolling(), or more friction",
     Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
 
