@@ -155,7 +155,7 @@ def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
 def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:
     """Whether the body is nowhere in its base, but for a rounding of its size."""
     found = clearance(scene, t, state)
-    return ~(found.gap < -_touch(found))
+    return ~(found.gap < -depth_of_touch(found.size))
 
 
 def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) -> Array:
@@ -163,7 +163,9 @@ def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) ->
     stuck = is_stuck(code)
     found = cast(Clearance, _clearance_at_end(scene, t, state))
     return jnp.where(
-        stuck & (found.gap < -0.5 * _touch(found)), Code.SECOND_CONTACT, code
+        stuck & (found.gap < -0.5 * depth_of_touch(found.size)),
+        Code.SECOND_CONTACT,
+        code,
     )
 
 
@@ -172,10 +174,13 @@ def _clearance_at_end(scene: Scene, t: Float[Array, ""], state: AnyState) -> Cle
     return clearance(scene, t, state)
 
 
-def _touch(found: Clearance) -> Array:
-    """How deep a second contact may be before it counts [m]."""
-    double = found.gap.dtype == jnp.float64
-    return (1e-9 if double else 1e-4) * found.size
+def depth_of_touch(size: Float[Array, ""]) -> Float[Array, ""]:
+    """How deep a second contact may be before it counts [m].
+
+    Args:
+        size: Of the body, from its origin [m].
+    """
+    return (1e-9 if size.dtype == jnp.float64 else 1e-4) * size
 
 
 def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:

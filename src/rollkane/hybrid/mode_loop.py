@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from ..dynamics.clearance import depth_of_touch
 from ..dynamics.directed_friction import begins
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
@@ -36,8 +37,6 @@ from .user_events import (
 
 # Accepted steps that a derivative can follow: about 0.3 kB each.
 RECORDED_STEPS = 2**14
-# Of a body's reach: deeper than rounding, or what a flight may be wrong by
-_DEEP = 1e-9
 
 
 class Loop(Trials):
@@ -194,9 +193,8 @@ class Loop(Trials):
         if self.reach is None:
             return False
         begins = (c.path.switches.count > 0) & jnp.isnan(c.values[0])
-        depth = -tried.end.values[0]
-        flies = c.place.mode == Mode.FLYING
-        return flies & begins & (depth > _DEEP * self.reach)
+        deep = tried.end.values[0] < -depth_of_touch(self.reach)
+        return (c.place.mode == Mode.FLYING) & begins & deep
 
     def code_of_loss(self, mode: Int[Array, ""]) -> Array:
         """Why there is no state behind an event."""

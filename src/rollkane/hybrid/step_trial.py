@@ -263,7 +263,8 @@ class Trials(eqx.Module):
         worst, hold = jnp.argmin(share), self.motion.modes.static_friction
         least = -_TOGETHER * _scale(c.values)[0]
         if hold is not None:
-            # of friction in proportion to the normal force, behind its zero
+            # grip behind the normal force's zero, where friction goes to zero with it:
+            # -sqrt(m^2 + |T|^2) of |T| < |m|, 1.4 |m| at most (ModeRates._grip)
             spent = 2.0 * hold * jnp.abs(values[1]) + _TOGETHER * _scale(c.values)[1]
             least = jnp.where(c.place.mode == Mode.ROLLING, -spent, least)
         return jnp.where((share[1] <= _TOGETHER) & (values[0] >= least), 1, worst)

@@ -27,11 +27,12 @@ from .along_steps import by_steps_of
 from .differentiate import differentiable
 from .event_search import Events, Happened
 from .event_times import at_their_zeros
+from .held_numbers import of_numbers
 from .output_times import in_time, moved_in_time, not_by_times
 from .plans import Inputs, Plan, Record, Solution
 from .projection import Projected
 from .solve import plain, solve
-from .step_control import Stops, of_times
+from .step_control import Stops
 
 # Relative tolerance above which a step may be as wrong as it is long.
 LOOSEST = 0.1
@@ -240,7 +241,7 @@ def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:
         raise FieldError(
             field, times, "must hold a start and an end", "give two times or more"
         )
-    if not of_times(_one_way, times):
+    if not of_numbers(_one_way, times):
         raise FieldError(
             field,
             times,

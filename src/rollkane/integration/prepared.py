@@ -38,6 +38,27 @@ class Prepared(NamedTuple):
     arrays: tuple[Any, ...]
     others: tuple[Any, ...]
 
+    @staticmethod
+    def of(
+        programs: tuple[Callable[..., Any], Callable[..., Any]],
+        plan: Any,
+        model: Any,
+        before: tuple[Any, ...],
+        others: tuple[Any, ...],
+    ) -> "Prepared":
+        """One of a model.
+
+        Args:
+            programs: As above.
+            plan: A named tuple, of whose ``zeros`` the loop in C is told.
+            model: What the motion depends on.
+            before: Arrays before those of the model.
+            others: What stands behind the start.
+        """
+        structure, leaves = taken_apart(model)
+        plans = known(plan), known(plan._replace(zeros=zeros_in(model)))
+        return Prepared(programs, plans, structure, (*before, leaves), held(others))
+
     def __call__(self, start: Any, native: bool = False) -> Any:
         """Integrate a start.
 
@@ -112,16 +133,10 @@ def prepared(
     arrays = None
     if stepsize_controller is not None or saveat is not None:
         arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
-    structure, leaves = taken_apart(model)
     numbers = [scalar(rtol, dtype), scalar(atol, dtype), np.asarray(by_size)]
     first = None if dt0 is None else scalar(dt0, dtype)
-    return Prepared(
-        (by_xla, around_loop),
-        (known(plan), known(plan._replace(zeros=zeros_in(model)))),
-        structure,
-        (arrays, leaves),
-        held((times, stops_of(times), numbers, first, events)),
-    )
+    others = times, stops_of(times), numbers, first, events
+    return Prepared.of((by_xla, around_loop), plan, model, (arrays,), others)
 
 
 def scalar(x: Any, dtype: np.dtype[Any]) -> Any:

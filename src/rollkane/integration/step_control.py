@@ -4,7 +4,6 @@
 # pyright: reportIncompatibleVariableOverride=false
 # pyright: reportIncompatibleMethodOverride=false
 
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
@@ -27,9 +26,7 @@ from .controller_interface import (
     TriedStep,
     Truth,
 )
-
-# Bytes of times that are not remembered: 256 of them are 16 MB at most.
-_MANY = 2**16
+from .held_numbers import of_numbers
 
 
 class Landings(NamedTuple):
@@ -77,24 +74,7 @@ def stops_of(times: Any, least: float = 0.0) -> Stops:
     """
     if is_traced(times):
         return _stops(times, least)
-    return of_times(_stops, times, least)
-
-
-def of_times(function: Callable[..., Any], times: np.ndarray, *further: Any) -> Any:
-    """``function(times, ...)``; of times that were there before, without a new look."""
-    if times.nbytes > _MANY:
-        return function(times, *further)
-    return _of_known(function, times.tobytes(), times.dtype, further)
-
-
-@functools.lru_cache(256)
-def _of_known(
-    function: Callable[..., Any],
-    times: bytes,
-    dtype: np.dtype[Any],
-    further: tuple[Any, ...],
-) -> Any:
-    return function(np.frombuffer(times, dtype), *further)
+    return of_numbers(_stops, times, least)
 
 
 def _stops(times: Any, least: float) -> Stops:

@@ -19,7 +19,7 @@ from ..integration.prepared import Prepared
 from ..validation.remembered import remembered
 from .trajectory import Trajectory
 
-# Bytes of the times of a call that is kept, and how many are kept of a scene.
+# Bytes of the times of a call that is kept, and how many are of a scene: 1 MB at most.
 _MANY = 2**14
 _MOST = 64
 
@@ -50,25 +50,10 @@ class ReadyCall(NamedTuple):
         return self.shown(scene, *run_by(method, self.refusal, self.kind, model, run))
 
 
-class Itself:
-    """A value of a key that is told from others by which it is."""
-
-    def __init__(self, value: Any):
-        """Hold it."""
-        self.value = value
-
-    def __eq__(self, other: object) -> bool:
-        """Whether it is the same one."""
-        return isinstance(other, Itself) and self.value is other.value
-
-    def __hash__(self) -> int:
-        """Of which it is."""
-        return id(self.value)
-
-
 @remembered(stays_as_it_is)
-def _is_fixed(modes: Modes) -> bool:
-    return stays_as_it_is(modes)
+def _mark_of(modes: Modes) -> object | None:
+    """One of its own for each; None of one whose numbers may change."""
+    return object() if stays_as_it_is(modes) else None
 
 
 @remembered(stays_as_it_is)
@@ -96,7 +81,8 @@ def key_of_call(
     """
     if not all(x is None or (isinstance(x, tuple) and not x) for x in others):
         return None
-    if modes is not None and not _is_fixed(modes):
+    mark = None if modes is None else _mark_of(modes)
+    if modes is not None and mark is None:
         return None
     leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(start))
     try:
@@ -104,7 +90,7 @@ def key_of_call(
         clock = np.asarray(times)
         kinds = tuple(map(type, options))  # 1 is not True
         asked = clock.shape, clock.dtype, clock.tobytes()
-        key = tree, form, *asked, Itself(modes), options, kinds
+        key = tree, form, *asked, mark, options, kinds
         hash(key)
     except (AttributeError, TypeError, ValueError):
         return None

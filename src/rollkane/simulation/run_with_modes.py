@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 import diffrax as dfx
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array
 
-from ..codegen import zeros_in
-from ..codegen.compile_effort import Known, around_a_loop, known, taken_apart
+from ..codegen.compile_effort import Known, around_a_loop
 from ..dynamics.clearance import is_apart
 from ..dynamics.events import Event
 from ..dynamics.rolling_problem import corners
@@ -93,16 +92,10 @@ def ready_with_modes(
         looks,
         None,
     )
-    structure, leaves = taken_apart(changing)
     numbers = scalar(rtol, dtype), scalar(atol, dtype), np.asarray(by_size)
-    run = Prepared(
-        (_by_xla, _around_loop),
-        (known(plan), known(plan._replace(zeros=zeros_in(changing)))),
-        structure,
-        (leaves,),
-        (times, *held((stops, *numbers)), watched),
-    )
-    shown = functools.partial(_trajectory, structure, leaves, times, watched)
+    others = (times, stops, *numbers), watched
+    run = Prepared.of((_by_xla, _around_loop), plan, changing, (), others)
+    shown = functools.partial(_trajectory, run.structure, *run.arrays, times, watched)
     return ReadyCall(run, without_native(None, {}), ("modes", looks), watched, shown)
 
 
@@ -127,18 +120,13 @@ def _through_changes(
     structure: Known,
     leaves: list[Array],
     start: State,
-    times: Float[Array, " T"],
-    stops: Stops,
-    rtol: Float[Array, ""],
-    atol: Float[Array, ""],
-    by_size: Bool[Array, ""],
+    given: tuple[Array, Stops, Array, Array, Array],
     events: tuple[Event, ...],
 ) -> HybridOutcome:
     how: _Plan = plan.value
+    scene = jax.tree.unflatten(structure.value, leaves)
     return integrate_modes(
-        jax.tree.unflatten(structure.value, leaves),
-        *(start, times, stops, rtol, atol, by_size),
-        *(how.solver, how.max_steps, corners),
+        *(scene, start, *given, how.solver, how.max_steps, corners),
         allowed=is_apart if how.looks else None,
         zeros=how.zeros,
         events=events,
