@@ -85,6 +85,14 @@ def _torus_points(R, r):
     return np.stack([q * np.cos(a), q * np.sin(a), r * np.sin(b)], axis=1)
 
 
+def _disc_points(a):
+    """Of the rim, and of the face within it."""
+    angle, share = angles()
+    q = a * np.sqrt(0.5 + share / (2 * np.pi))
+    face = np.stack([q * np.cos(angle), q * np.sin(angle), 0.0 * q], axis=1)
+    return np.concatenate([_torus_points(a, 0.0), face])
+
+
 def _egg(theta):
     """Meridian of an egg: radius and height."""
     return 0.3 * np.sin(theta), -(0.4 + 0.05 * np.cos(theta)) * np.cos(theta)
@@ -142,7 +150,7 @@ BODIES: dict[str, tuple[Callable, Shape]] = {
     ),
     "disc": (
         lambda: rk.DiscEdge(0.4),
-        Shape(lambda p: ring(p, 0.4), _torus_points(0.4, 0.0), edge=True),
+        Shape(lambda p: ring(p, 0.4), _disc_points(0.4), edge=True),
     ),
     "ring": (
         lambda: rk.Ring(0.4),

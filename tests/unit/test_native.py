@@ -66,7 +66,8 @@ OPERATIONS = [
         [lambda: y, lambda: t - y, lambda: 0.3 * y],
     ),
     lambda y, t: in_turns(y),
-    lambda y, t: (-(3.0 * y).astype(int)).astype(y.dtype) * 0.1,
+    # along no axis
+    lambda y, t: jnp.sum(-(3.0 * y).astype(int)).astype(y.dtype) * 0.1 + jnp.max(y),
 ]
 
 

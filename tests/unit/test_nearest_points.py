@@ -11,6 +11,7 @@ import pytest
 import rollkane as rk
 from rollkane.dynamics import nearest_points
 from rollkane.geometry.rotations import rotation_matrix
+from rollkane.kinematics.coordinates import FlyingState
 
 WAVES = rk.Graph(lambda x, y: 0.1 * jnp.sin(3.0 * x) * jnp.cos(2.0 * y))
 EGG = rk.Parametric(
@@ -211,3 +212,103 @@ def _matrix(q):
     w, v = q[0], q[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
     return np.eye(3) + 2.0 * (w * cross + cross @ cross)
+
+
+DISC = 0.4  # m, its radius
+
+
+def disc_over(base):
+    """A scene, and the gap at an orientation and a place; wherever a search begins."""
+    disc = rk.Body(1.0, np.diag([0.04, 0.04, 0.08]), rk.DiscEdge(DISC))
+    scene, none = rk.Scene(disc, rk.Base(base)), jnp.zeros(0)
+
+    def gap(e, r):
+        still = jnp.zeros(3)
+        state = FlyingState(e, still, base.locate(r), none, none, none, r, still)
+        return nearest_points.nearest_anywhere(scene, jnp.zeros(()), state)[0]
+
+    return scene, gap
+
+
+def gap_to_ball(e, r, radius):
+    """Of a disc and a ball at the origin, in closed form."""
+    across, height = centre_from(e, r)
+    return jnp.hypot(jnp.maximum(across - DISC, 0.0), height) - radius
+
+
+def centre_from(e, r):
+    """Of the ball, from the disc's centre: in its plane, and along its axis."""
+    x, y, height = -rotation_matrix(e).T @ r
+    return jnp.hypot(x, y), height
+
+
+def placed_discs(radius):
+    """Orientations and places all round a ball."""
+    draw = np.random.default_rng(0)
+    unit = lambda x: x / np.linalg.norm(x, axis=1)[:, None]
+    turned, out = unit(draw.normal(size=(2000, 4))), unit(draw.normal(size=(2000, 3)))
+    away = out * (radius + draw.uniform(0.0, 1.5, (2000, 1)))
+    apart = jax.vmap(lambda e, r: gap_to_ball(e, r, radius))(turned, away) > 0.0
+    return turned[apart], away[apart]
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.7, 3.0])
+def test_a_disc_is_nearest_by_its_face_or_its_rim(radius):
+    """Its gap to a ball is known; a search once found nothing below its face."""
+    turned, away = placed_discs(radius)
+    _, gap = disc_over(rk.Sphere(radius))
+    found = jax.jit(jax.vmap(gap))(turned, away)
+    wanted = jax.vmap(lambda e, r: gap_to_ball(e, r, radius))(turned, away)
+    across, _ = jax.vmap(centre_from)(turned, away)
+    assert 10 < np.sum(across < DISC) < len(away) - 10
+    # sums of a few numbers of that size
+    tolerance = 16 * np.finfo(float).eps * (radius + 2.0)
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=tolerance)
+
+
+def test_the_gap_of_a_disc_passes_from_rim_to_face():
+    """In derivatives, too: where the foot of the perpendicular passes the rim."""
+    _, gap = disc_over(rk.Sphere(0.7))
+    e, height = jnp.array([1.0, 0.0, 0.0, 0.0]), 1.1
+    at = lambda x: jnp.array([x, 0.0, height])
+    turned = lambda s: jnp.array([jnp.cos(s), 0.3 * jnp.sin(s), jnp.sin(s), 0.0])
+    slopes = jax.jit(jax.vmap(lambda x, s: (
+        jax.jvp(lambda x: gap(e, at(x)), (x,), (jnp.ones(()),)),
+        jax.jvp(lambda s: gap(turned(s), at(x)), (s,), (jnp.ones(()),)),
+    )))  # fmt: skip
+    known = jax.vmap(lambda x, s: (
+        jax.jvp(lambda x: gap_to_ball(e, at(x), 0.7), (x,), (jnp.ones(()),)),
+        jax.jvp(lambda s: gap_to_ball(turned(s), at(x), 0.7), (s,), (jnp.ones(()),)),
+    ))  # fmt: skip
+    beside = DISC + np.array([-0.3, -1e-3, -1e-6, -1e-9, 1e-9, 1e-6, 1e-3, 0.3])
+    tilts = np.array([0.1, 0.0, 1e-3, 1e-9, 1e-9, 1e-3, 0.0, 0.1])
+    found, wanted = slopes(beside, tilts), known(beside, tilts)
+    # where the rim takes over the nearest point is known to sqrt(eps) of the radius
+    tolerance = 2.0 * np.sqrt(np.finfo(float).eps)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("base", FAR)
+def test_gap_of_a_disc_is_that_of_the_nearest_of_its_points(base):
+    make, distance, place = FAR[base]
+    _, gap = disc_over(make())
+    draw = np.random.default_rng(4)
+    turned = draw.normal(size=(60, 4))
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    at = np.stack([place(*draw.uniform(-1.0, 1.0, 2)) for _ in turned])
+    slope = np.stack(
+        [(distance(at + e) - distance(at - e)) / 2e-6 for e in 1e-6 * np.eye(3)], 1
+    )
+    at = at + draw.uniform(0.5, 1.5, 60)[:, None] * slope
+    found = np.asarray(jax.jit(jax.vmap(gap))(turned, at))
+    radius, angle = np.meshgrid(
+        np.linspace(0.0, DISC, 101), np.linspace(-np.pi, np.pi, 401)
+    )
+    flat = [radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle]
+    points = np.stack([x.ravel() for x in flat], axis=1)
+    for q, r, nearest in zip(turned, at, found, strict=True):
+        least = distance(r + points @ _matrix(q).T).min()
+        # a point of the grid is within 2 mm along a radius and 3.2 mm along a circle:
+        # farther from a base that bends by 1 by 3.5 (3.2e-3)^2 / 2 + (2e-3)^2 / 2
+        assert -2e-5 < nearest - least < 1e-12

@@ -318,7 +318,9 @@ class Walk:
     def reduced(
         self, name: str, numbers: Numbers, axes: Axes, dtype: np.dtype
     ) -> Numbers:
-        """The sums and so on along some axes."""
+        """The sums and so on along some axes; along none each number is its own."""
+        if not axes:
+            return numbers
         kept = [i for i in range(numbers.ndim) if i not in axes]
         rows = numbers.transpose([*kept, *axes])
         result = np.empty(rows.shape[: len(kept)], object)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
 from ..geometry.rotations import rotation_matrix
@@ -89,10 +89,9 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
     for surface, level, on_base, searched in _sides(scene, t, state):
         gap, place = _lowest(surface, level, searched)
         found.append((gap, on_base(place)))
-        faces = surface.face_points() if surface is body else None
-        if faces is not None:
-            gap, place = _least_of(level, faces)
-            found.append((gap, on_base(place)))
+        if surface is body and body.face_samples() is not None:
+            gaps, faces = _face_candidates(body, level, 1, searched)
+            found.append((gaps[0], on_base(faces[0])))
     gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
     least = jnp.argmin(gaps)
     return Clearance(gaps[least], places[least], reach_of(body, gaps.dtype))
@@ -132,6 +131,10 @@ def lowest_places(
         for surface, level, on_base, searched in sides
         for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
     ]
+    for surface, level, on_base, searched in sides:
+        if surface is body and body.face_samples() is not None:
+            gaps, faces = _face_candidates(body, level, _NEAREST, searched)
+            found.append((gaps, jax.vmap(on_base)(faces)))
     gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))
     return gaps, places
 
@@ -237,12 +240,35 @@ def _candidates(
     def value(u: Float[Array, " k"]) -> Float[Array, ""]:
         return _known(level(surface.point(u)))
 
+    levels, chosen = _least_of(value, samples, surface.lattice(), count, searched)
+    return levels, samples[chosen], value
+
+
+def _face_candidates(
+    body: AbstractSurface, level: _Level, count: int, searched: bool
+) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
+    """The same of samples of a body's flat: levels, and the points themselves."""
+    lattice = body.face_samples()
+    assert lattice is not None
+    points = jax.vmap(body.face_point)(jnp.asarray(lattice, jnp.result_type(float)))
+    value: Callable[[Array], Array] = lambda x: _known(level(x))
+    levels, chosen = _least_of(value, points, lattice, count, searched)
+    return levels, points[chosen]
+
+
+def _least_of(
+    value: Callable[[Array], Array],
+    samples: Float[Array, "n k"],
+    lattice: NDArray[Any],
+    count: int,
+    searched: bool,
+) -> tuple[Float[Array, " m"], Int[Array, " m"]]:
+    """The lowest of the samples that are lower than those around them, and which."""
     one_by_one = lambda: jax.lax.map(value, samples, batch_size=_AT_ONCE)
     values = cast(Array, one_by_one() if searched else jax.vmap(value)(samples))
-    near = _neighbours(surface.lattice())
-    local = values <= jnp.min(values[near], axis=1)
+    local = values <= jnp.min(values[_neighbours(lattice)], axis=1)
     lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
-    return -lowest, samples[chosen], value
+    return -lowest, chosen
 
 
 def _lowest(
@@ -278,16 +304,6 @@ def _lowest(
     gaps, places = jax.vmap(lower)(chosen)
     best = jnp.argmin(gaps)
     return gaps[best], places[best]
-
-
-def _least_of(
-    level: _Level, points: Float[Array, "n 3"]
-) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-    """The least level of some points, and the point that has it."""
-    known: Callable[[Array], Array] = lambda x: _known(level(x))
-    gaps = jax.vmap(known)(points)
-    best = jnp.argmin(gaps)
-    return gaps[best], points[best]
 
 
 def _known(level: Float[Array, ""] | None) -> Array:

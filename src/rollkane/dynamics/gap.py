@@ -7,7 +7,6 @@ from jaxtyping import Array, Float
 
 from ..codegen import prepare_calls
 from ..codegen.compile_effort import for_one_call
-from ..geometry.local_geometry import LocalGeometry
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
 from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
@@ -43,8 +42,8 @@ def closing(
     spin = matvec(to_base, w)
     if moving is not None and moving.angular_velocity is not None:
         spin = spin - moving.angular_velocity
-    point = _body_point(scene, state, ground, to_base)
-    moved = v + cross(spin, matvec(to_base, point))
+    # the body's point is along the normal from the base's: moved alike along it
+    moved = v + cross(spin, ground.position - place)
     return dot(ground.frame[:, 2], moved), norm(v), norm(spin)
 
 
@@ -132,21 +131,6 @@ def _places_below(
     else:  # it may be far
         gap, state = nearest(scene, t, state, steps=4 * NEWTON)
     return gap, *places_of(state)
-
-
-def _body_point(
-    scene: Scene,
-    state: FlyingState,
-    ground: LocalGeometry,
-    to_base: Float[Array, "3 3"],
-) -> Float[Array, "3"]:
-    """The body's nearest point [m], body axes."""
-    body = scene.body.surface
-    if scene.has_contact_coordinates:
-        return body.point(state.contact_on_body)
-    of_normal = body.normal_map(scene.base.surface.is_flat)
-    assert of_normal is not None
-    return of_normal(-matvec_transposed(to_base, ground.normal))
 
 
 def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingState:

@@ -5,7 +5,7 @@ surfaces (:func:`nearest_anywhere`).
 """
 
 from collections.abc import Callable
-from typing import Any, TypeAlias, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -27,6 +27,13 @@ from ..geometry.small_linear import (
 )
 from ..kinematics.coordinates import FlyingState
 from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
+from .nearest_on_face import (
+    has_face,
+    is_nearest,
+    is_on_face,
+    nearer_to_face,
+    on_rim,
+)
 from .scene import Scene
 
 # Newton steps to the nearest points, most: their error squares each time
@@ -39,6 +46,10 @@ _CLOSE = 64
 _Places: TypeAlias = tuple[Array, Array]
 # Steps taken, the points, and what was left before the last step and the gap there [m].
 _Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""], Float[Array, ""]]
+# A step of a search; see :func:`_improved`.
+_Improved: TypeAlias = Callable[
+    [Scene, Array, FlyingState], tuple[_Places, Float[Array, ""], Float[Array, ""]]
+]
 
 
 def nearest(
@@ -56,15 +67,71 @@ def nearest(
     where the search did not converge. Where there are several nearest points, the ones
     next to the start are followed.
     """
-    places, found = _searched(*jax.lax.stop_gradient((scene, t, state)), steps)
-    gap, state = _nearest_from(scene, t, state, places)
-    return jnp.where(jnp.isnan(found), jnp.nan, gap), state
+    found = _searched(*jax.lax.stop_gradient((scene, t, state)), steps)
+    gap, state = _nearest_from(scene, t, state, found)
+    return jnp.where(jnp.isnan(found.gap), jnp.nan, gap), state
+
+
+class _Found(NamedTuple):
+    """What a search found.
+
+    Attributes:
+        places: The nearest points.
+        gap: Between them [m]; NaN if the search did not converge.
+        on_face: Whether the body's is on its face; None where it has none.
+    """
+
+    places: _Places
+    gap: Float[Array, ""]
+    on_face: Bool[Array, ""] | None
 
 
 def _searched(
     scene: Scene, t: Float[Array, ""], state: FlyingState, steps: Any = NEWTON
+) -> _Found:
+    """The nearest points, on the body's face where they are there."""
+    if not has_face(scene):
+        return _Found(*_by_newton(_improved, scene, t, state, steps), None)
+    (below, _), of_face = _by_newton(nearer_to_face, scene, t, state, steps)
+    holds = is_on_face(scene, t, state, below, of_face)
+    near = jnp.where(jnp.isnan(of_face), state.contact_on_base, below)
+    places, gap = _on_rim(*on_rim(scene, t, state, near), t, state, steps)
+    on_face = holds & ~(gap <= of_face)
+    on_base = jnp.where(on_face, below, places[0])
+    return _Found((on_base, places[1]), jnp.where(on_face, of_face, gap), on_face)
+
+
+def _on_rim(
+    rim: Scene,
+    starts: Float[Array, "n k"],
+    t: Float[Array, ""],
+    state: FlyingState,
+    steps: Any,
 ) -> tuple[_Places, Float[Array, ""]]:
-    """The nearest points, and their gap, NaN if the search did not converge."""
+    """The first point of a rim that is the nearest one, and its gap."""
+
+    def tried(
+        best: tuple[_Places, Float[Array, ""]], start: Float[Array, " k"]
+    ) -> tuple[tuple[_Places, Float[Array, ""]], None]:
+        begun = eqx.tree_at(lambda s: s.contact_on_body, state, start)
+        known = jnp.isfinite(best[1])
+        places, gap = _by_newton(_improved, rim, t, begun, jnp.where(known, 0, steps))
+        gap = jnp.where(is_nearest(rim, t, state, places, gap), gap, jnp.nan)
+        chosen: Callable[[Array, Array], Array] = lambda a, b: jnp.where(known, a, b)
+        return jax.tree.map(chosen, best, (places, gap)), None
+
+    none = (state.contact_on_base, starts[0]), jnp.full_like(t, jnp.nan)
+    return cast(Any, jax.lax.scan(tried, none, starts)[0])
+
+
+def _by_newton(
+    improved: _Improved,
+    scene: Scene,
+    t: Float[Array, ""],
+    state: FlyingState,
+    steps: Any,
+) -> tuple[_Places, Float[Array, ""]]:
+    """Points where no step is left, and their gap, NaN if that is nowhere."""
     size = 1.0 + norm(state.position)
     close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
 
@@ -74,7 +141,7 @@ def _searched(
 
     def improve(carry: _Search) -> _Search:
         count, places, _, _ = carry
-        return count + 1, *_improved(scene, t, eqx.tree_at(places_of, state, places))
+        return count + 1, *improved(scene, t, eqx.tree_at(places_of, state, places))
 
     far = jnp.full_like(close, jnp.inf)
     carry = jnp.asarray(0), places_of(state), far, far
@@ -84,15 +151,21 @@ def _searched(
 
 
 def _nearest_from(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, places: _Places
+    scene: Scene, t: Float[Array, ""], state: FlyingState, found: _Found
 ) -> tuple[Float[Array, ""], FlyingState]:
     """:func:`nearest` from points that are it, to which it gives their derivative.
 
     One step more of the search has it, by the implicit function; the gap is stationary
     there, and does not move with the points.
     """
-    found, _, gap = _improved(scene, t, eqx.tree_at(places_of, state, places))
-    return gap, eqx.tree_at(places_of, state, found)
+    at = t, eqx.tree_at(places_of, state, found.places)
+    if found.on_face is None:
+        places, _, gap = _improved(scene, *at)
+        return gap, eqx.tree_at(places_of, state, places)
+    rim, _ = on_rim(scene, t, state, found.places[0])
+    either = lambda: nearer_to_face(scene, *at), lambda: _improved(rim, *at)
+    (on_base, _), _, gap = cast(Any, jax.lax.cond(found.on_face, *either))
+    return gap, eqx.tree_at(lambda s: s.contact_on_base, state, on_base)
 
 
 @shared_in_c
@@ -110,21 +183,20 @@ def nearest_anywhere(
     fixed = jax.lax.stop_gradient((scene, t, state))
     gaps, starts = lowest_places(*fixed)
 
-    def near(low: tuple[Array, Float[Array, "3"]]) -> tuple[_Places, Array]:
+    def near(low: tuple[Array, Float[Array, "3"]]) -> _Found:
         # no step, which finds nothing, from where there is no low sample
         gap, place = low
         steps = jnp.where(jnp.isfinite(gap), NEWTON, 0)
         return _searched(*fixed[:2], begun_at(*fixed, place), steps)
 
     # one after the other: a program of one is compiled in a fraction of the time
-    closest, found = cast("tuple[_Places, Array]", jax.lax.map(near, (gaps, starts)))
+    found = cast(_Found, jax.lax.map(near, (gaps, starts)))
     # far from an uneven base Newton's method may go astray: there the samples will do
     size = reach_of(fixed[0].body.surface, gaps.dtype)
-    strays = ~(jnp.abs(found - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
-    best = jnp.argmin(jnp.where(strays, gaps, found))
+    strays = ~(jnp.abs(found.gap - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
+    best = jnp.argmin(jnp.where(strays, gaps, found.gap))
     at_best: Callable[[Array], Array] = lambda x: x[best]
-    place = jax.tree.map(at_best, closest)
-    gap, closest = _nearest_from(scene, t, state, place)
+    gap, closest = _nearest_from(scene, t, state, jax.tree.map(at_best, found))
     return jnp.where(strays[best], gaps[best], gap), closest
 
 

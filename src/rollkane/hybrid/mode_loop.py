@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.clearance import depth_of_touch
 from ..dynamics.directed_friction import begins
+from ..dynamics.nearest_on_face import faces, has_face
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
 from ..integration.longest_step import LEAST_STEPS
@@ -57,8 +58,11 @@ class Loop(Trials):
         """One turn of the loop."""
         tried = self.tried(c)
         verdict = self.judged(c, tried)
-        event, kind, at, end = verdict.event, verdict.kind, c.place, tried.end
+        kind, at, end = verdict.kind, c.place, tried.end
         slid, after = self._behind(at, tried, verdict)
+        falls_flat = verdict.event & self.lies_on_face(at, tried)
+        event = verdict.event & ~falls_flat
+        after = picked(falls_flat, Place(tried.t, end.y, at.mode, at.direction), after)
         full = event & (c.path.switches.count >= self.motion.modes.switches)
         lost = event & ~jnp.all(jnp.isfinite(pack(after.y)))
         accept = verdict.accept & ~full & ~lost
@@ -88,6 +92,7 @@ class Loop(Trials):
         code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
         code = jnp.where(lost, self.code_of_loss(at.mode), code)
+        code = jnp.where(falls_flat, Code.SURFACE_EDGE, code)
         deep = (verdict.stuck | lost) & self.lifts_into_its_base(c, tried)
         code = jnp.where(deep, Code.SECOND_CONTACT, code)
         values = self.values_after(c, end.values, event, after)
@@ -195,6 +200,13 @@ class Loop(Trials):
         begins = (c.path.switches.count > 0) & jnp.isnan(c.values[0])
         deep = tried.end.values[0] < -depth_of_touch(self.reach)
         return (c.place.mode == Mode.FLYING) & begins & deep
+
+    def lies_on_face(self, at: Place, tried: Tried) -> Array | bool:
+        """Whether a flight ends with the face of the body on the base, not its rim."""
+        scene = self.motion.scenes.flying
+        if self.reach is None or not has_face(scene):
+            return False
+        return (at.mode == Mode.FLYING) & faces(scene, tried.t, tried.end.y.flying())
 
     def code_of_loss(self, mode: Int[Array, ""]) -> Array:
         """Why there is no state behind an event."""

@@ -123,8 +123,22 @@ class AbstractSurface(eqx.Module):
         """
         return np.asarray(self.samples())
 
-    def face_points(self) -> Float[Array, "n 3"] | None:
-        """Points of the body that its surface leaves out [m]; None: there are none."""
+    def face_rim(self) -> "AbstractSurface | None":
+        """The edge round a flat of the body that this surface leaves out.
+
+        The flat is in the plane z = 0. None: there is none.
+        """
+
+    def face_samples(self) -> np.ndarray | None:
+        """Samples over that flat, shape (n, 3); None: there is none."""
+
+    def face_point(self, sample: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point of the flat that a sample stands for [m]."""
+        return sample
+
+    def face_extent(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
+        """Positive where a point is over the flat, along z; None: there is none."""
+        del point
 
     def signed_distance(self, point: Float[Array, "3"]) -> Float[Array, ""] | None:
         """Distance of a point from the surface [m], negative in the material.

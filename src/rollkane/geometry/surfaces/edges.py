@@ -19,6 +19,7 @@ from .directions import NormalHeading, PointOfNormal, Range
 from .kinds import AbstractNormalSurface, AbstractPointSurface
 
 _AROUND = 128  # samples of a ring: a twentieth of its radius apart
+_ON_FACE = 416  # of a disc: a twelfth of its radius
 
 
 def in_plane(normal: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -68,8 +69,9 @@ class DiscEdge(AbstractNormalSurface):
     """The sharp circular rim of a thin solid disc in the plane z = 0, axis z.
 
     Its normals point out of the disc, never along z: where the disc comes to lie on its
-    face, the contact leaves the rim and a run ends with ``Code.SURFACE_EDGE``. A wire,
-    whose contact goes round, is a :class:`Ring`.
+    face, the contact leaves the rim and a run ends with ``Code.SURFACE_EDGE``, and so
+    does a flight that ends on the face. A wire, whose contact goes round and through
+    which a base may come, is a :class:`Ring`.
 
     Attributes:
         radius: [m].
@@ -103,14 +105,24 @@ class DiscEdge(AbstractNormalSurface):
         del against_plane
         return in_plane
 
-    def face_points(self) -> Float[Array, "n 3"]:
-        """Points of the disc itself [m]."""
-        radius, angle = np.meshgrid(
-            np.linspace(0.0, 1.0, 13), np.arange(0.0, 6.28, 0.2)
-        )
+    def face_rim(self) -> "Ring":
+        """The rim as a wire: its points have normals inwards, too."""
+        return Ring(self.radius)
+
+    def face_samples(self) -> np.ndarray:
+        """Points of a disc of radius one, each once: along a spiral, as seeds grow."""
+        count = np.arange(_ON_FACE)
+        radius, angle = np.sqrt((count + 0.5) / _ON_FACE), np.pi * (3 - 5**0.5) * count
         flat = [radius * np.cos(angle), radius * np.sin(angle), 0.0 * angle]
-        unit = np.stack(flat, axis=-1).reshape(-1, 3)
-        return jnp.asarray(unit, self.radius.dtype) * self.radius
+        return np.stack(flat, axis=-1)
+
+    def face_point(self, sample: Float[Array, "3"]) -> Float[Array, "3"]:
+        """The point of the disc itself [m]."""
+        return self.radius * sample
+
+    def face_extent(self, point: Float[Array, "3"]) -> Float[Array, ""]:
+        """Squared length that is left to the rim [m^2]."""
+        return self.radius**2 - dot(point[:2], point[:2])
 
     def locate(self, point: Float[Array, "3"]) -> Float[Array, "3"]:
         """Normal in the plane of the disc; an edge has a fan of others."""
