@@ -13,7 +13,7 @@ from rollkane.codegen import compiler as compilers
 from rollkane.codegen.scalar_program import NotElementwiseError
 from rollkane.codegen.tableau import weights_of
 
-TABLE = np.sin(np.arange(9.0))
+TABLE, KNOTS = np.sin(np.arange(9.0)), np.linspace(-0.4, 0.6, 9)
 PLACES = np.arange(12.0).reshape(4, 3) ** 0.5
 
 
@@ -87,6 +87,44 @@ def rates(t, y, shared, own):
     return 0.3 * turned + 0.1 * padded + 0.1 * jnp.resize(spread, 24)
 
 
+def whole(y):
+    """A whole number, of either sign."""
+    return jnp.floor(20.0 * y).astype(int)
+
+
+# what users write functions of time with: tables, choices, whole numbers
+FURTHER = [
+    lambda y, t: jnp.interp(
+        y, jnp.asarray(KNOTS, y.dtype), jnp.asarray(TABLE, y.dtype)
+    ),
+    lambda y, t: jnp.select([y < 0.1, y < 0.3], [0.2 * y, -y], y * y),
+    lambda y, t: jnp.piecewise(y, [y < 0.0, y > 0.2], [lambda x: -x, lambda x: x * x]),
+    lambda y, t: jax.lax.select_n(whole(0.05 * y) + 1, y, 0.3 + y, -y, y * y),
+    lambda y, t: jnp.argmax(jnp.stack([y, t, 0.1 * y + 0.05])).astype(y.dtype) - y,
+    lambda y, t: jnp.argmin(jnp.stack([y > 0.0, y > t, y < 0.3])).astype(y.dtype) * y,
+    lambda y, t: jnp.argmin(jnp.stack([y, jnp.sqrt(y - 0.1), t])).astype(y.dtype) - y,
+    lambda y, t: (
+        jnp.cumsum(jnp.stack([y, t, y * y]))[1] - jnp.cumprod(jnp.stack([y, t]))[1]
+    ),
+    lambda y, t: jax.lax.cummax(jnp.stack([y, t, 0.1 * y]), reverse=True)[1],
+    lambda y, t: jnp.round(7.0 * y) - jax.lax.round(0.5 * jnp.floor(4.0 * y)),
+    lambda y, t: jax.scipy.special.erf(y) + jax.lax.lgamma(1.6 + jnp.tanh(y)),
+    lambda y, t: (whole(y) // 3 - whole(y) % 7).astype(y.dtype) * 0.1,
+    lambda y, t: (
+        (whole(y) * abs(whole(t - y)) - jnp.sign(whole(y))).astype(y.dtype) * 0.01
+    ),
+    lambda y, t: jnp.where(jnp.where(y > 0.1, t > y, t < 0.5), y, -y),
+    lambda y, t: jnp.searchsorted(jnp.asarray(KNOTS, y.dtype), y).astype(y.dtype) * y,
+    lambda y, t: jax.lax.erfc(y) * 0.3,
+]
+
+
+def further(t, y, shared, own):
+    """Of each number one of them."""
+    each = [FURTHER[i % len(FURTHER)](x, t) for i, x in enumerate(y)]
+    return jnp.stack([x.astype(y.dtype) for x in each])
+
+
 def shape(*axes, dtype=float):
     return jax.ShapeDtypeStruct(axes, dtype)
 
@@ -145,6 +183,23 @@ def test_every_operation_gives_what_jax_gives(dtype):
     close = 50 * np.finfo(dtype).eps
     np.testing.assert_allclose(results.final_y, ends, rtol=0, atol=close)
     assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4  # the rates do differ
+
+
+@pytest.mark.parametrize("lanes", [1, None])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_tables_choices_and_whole_numbers_give_what_jax_gives(dtype, lanes):
+    """Likewise, one number a lane and several."""
+    queue = queue_of(64, dtype)
+    tolerant = np.full_like(queue.atol, 1e9)
+    steps = np.full_like(queue.first_steps, 0.1)
+    queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
+    found = loop_of(further, dtype, lanes).run(queue, STOPS).final_y
+    by_jax = jax.jit(further)
+    ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    close = 50 * np.finfo(dtype).eps
+    np.testing.assert_allclose(found, ends, rtol=0, atol=close)
+    assert np.isfinite(ends).all()
+    assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4
 
 
 def test_outputs_are_landed_on():

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .along_an_axis import RUNNING, place_of_best, running, wins
 from .array_memory import Index, Look, Memory, value_of
 from .data_movement import Numbers, as_objects, numbers_of
 from .jaxpr_types import Equation
@@ -254,23 +255,12 @@ def _scattered(
     return [_written(walk, equation, x, update, begins, inside, adds)]
 
 
-_RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-
-
 def _running(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """Sums and so on of all numbers up to each, along an axis."""
     params, aval = equation.params, equation.outvars[0].aval
-    name, axis = _RUNNING[equation.primitive.name], params["axis"]
-    (x,) = inputs
+    (x,), axis, name = inputs, params["axis"], equation.primitive.name
     if not isinstance(x, Memory):
-        rows = np.moveaxis(np.array(x, object), axis, 0)
-        rows = rows[::-1] if params["reverse"] else rows
-        for i in range(1, len(rows)):
-            for k in np.ndindex(rows.shape[1:]):
-                pair = [rows[(i - 1, *k)], rows[(i, *k)]]
-                rows[(i, *k)] = walk.operation(name, {}, pair, aval.dtype)
-        rows = rows[::-1] if params["reverse"] else rows
-        return [np.moveaxis(rows, 0, axis)]
+        return [running(walk.operation, name, x, params, aval.dtype)]
     front: Look = lambda a: np.moveaxis(a, axis, 0)
     turned: Look
     turned = (lambda a: np.flip(front(a), 0)) if params["reverse"] else front
@@ -282,7 +272,7 @@ def _running(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[
         with walk.arrays.loops((a.shape[0] - 1,)) as (k,):
             at = _plus(1, k)
             one = walk.arrays.number_at(a, (at, *rest))
-            found = walk.operation(name, {}, [total, one], aval.dtype)
+            found = walk.operation(RUNNING[name], {}, [total, one], aval.dtype)
             walk.writer.line(f"{total.text} = {in_c(found).text};")
             walk.writer.line(f"{b.at((at, *rest))} = {total.text};")
     return [to]
@@ -293,33 +283,12 @@ def _place_of_best(
 ) -> list[Value]:
     """Index of the largest or least number along an axis; of what is not one first."""
     aval, (axis,) = equation.outvars[0].aval, equation.params["axes"]
-    better = {"argmax": "gt", "argmin": "lt"}[equation.primitive.name]
-    (x,), arrays = inputs, walk.arrays
+    name, (x,), arrays = equation.primitive.name, inputs, walk.arrays
     dtype = equation.invars[0].aval.dtype
-    kind, truth = type_of(dtype), np.dtype(bool)
-
-    def wins(one: Any, best: Any) -> Any:
-        more = walk.operation(better, {}, [one, best], truth)
-        if kind != "real":
-            return more
-        lost = walk.operation("ne", {}, [one, one], truth)
-        fine = walk.operation("eq", {}, [best, best], truth)
-        lost = walk.operation("and", {}, [lost, fine], truth)
-        return walk.operation("or", {}, [more, lost], truth)
-
+    kind = type_of(dtype)
     if not isinstance(x, Memory):
-        rows = np.moveaxis(x, axis, 0)
-        place = np.empty(rows.shape[1:], object)
-        for k in np.ndindex(place.shape):
-            best, at = rows[(0, *k)], np.int64(0)
-            for i in range(1, len(rows)):
-                one = rows[(i, *k)]
-                won = wins(one, best)
-                best = walk.operation("select_n", {}, [won, best, one], dtype)
-                options = [won, at, np.int64(i)]
-                at = walk.operation("select_n", {}, options, aval.dtype)
-            place[k] = at
-        return [place]
+        given = name, x, axis, dtype, aval.dtype
+        return [place_of_best(walk.operation, *given)]
     turned = x.looked_at(lambda a: np.moveaxis(a, axis, 0))
     to = arrays.new(aval.shape, "whole")
     with arrays.loops(aval.shape) as rest:
@@ -327,7 +296,8 @@ def _place_of_best(
         place = walk.writer.variable("whole", Number("0L", "whole"))
         with arrays.loops((turned.shape[0],)) as (i,):
             one = arrays.number_at(turned, (i, *rest))
-            with walk.writer.braces(f"if ({in_c(wins(one, best)).text})"):
+            better, _ = wins(walk.operation, name, one, best, dtype)
+            with walk.writer.braces(f"if ({in_c(better).text})"):
                 walk.writer.line(f"{best.text} = {one.text}; {place.text} = {i};")
         walk.writer.line(f"{to.at(rest)} = {place.text};")
     return [to]
@@ -371,5 +341,5 @@ OPERATIONS: dict[str, _Operation] = {
     "scatter": _scattered,
     "scatter-add": _scattered,
     "top_k": _largest,
-    **dict.fromkeys(_RUNNING, _running),
+    **dict.fromkeys(RUNNING, _running),
 }

@@ -41,6 +41,7 @@ INLINE int any(mask m) {
     return total != 0;
 }
 #endif
+INLINE int not_one(int m) { return !m; }
 INLINE real choose_one(int m, real a, real b) { return m ? a : b; }
 /* like XLA's: what is not a number stays so */
 INLINE row max_row(row a, row b) { return choose_row((a > b) | (a != a), a, b); }
@@ -72,7 +73,8 @@ ONE(acos, acos) ONE(acosh, acosh) ONE(asin, asin) ONE(asinh, asinh) ONE(atan, at
 ONE(atanh, atanh) ONE(cbrt, cbrt) ONE(ceil, ceil) ONE(cos, cos) ONE(cosh, cosh)
 ONE(exp, exp) ONE(exp2, exp2) ONE(expm1, expm1) ONE(floor, floor) ONE(log, log)
 ONE(log1p, log1p) ONE(sin, sin) ONE(sinh, sinh) ONE(sqrt, sqrt) ONE(tan, tan)
-ONE(tanh, tanh) ONE(trunc, trunc) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
+ONE(tanh, tanh) ONE(trunc, trunc) ONE(rint, rint) ONE(round, round) ONE(erf, erf)
+ONE(erfc, erfc) ONE(lgamma, lgamma) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
 /* Of a table's every n-th number the one of an index, the nearest if it has none;
  * the first if that is not a number. */
 INLINE real lookup_one(const real *table, long stride, long count, real index) {

@@ -16,6 +16,7 @@ import jax
 import numpy as np
 from jax.extend import core
 
+from .along_an_axis import ALONG, along
 from .called_programs import CalledPrograms, rows_of
 from .data_movement import MOVES, Numbers, as_objects, numbers_of
 from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable, numbers_in
@@ -26,10 +27,10 @@ from .tracing import becoming_c
 ELEMENTWISE = frozenset(
     """
     abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp
-    convert_element_type copy cos cosh div eq exp exp2 expm1 floor ge gt integer_pow
-    is_finite le le_to log log1p logistic lt lt_to max min mul ne neg nextafter not
-    one_minus_square or pow rem rsqrt select_n shift_left shift_right_arithmetic sign
-    sin sinh sqrt square stop_gradient sub tan tanh xor
+    convert_element_type copy cos cosh div eq erf erfc exp exp2 expm1 floor ge gt
+    integer_pow is_finite le le_to lgamma log log1p logistic lt lt_to max min mul ne neg
+    nextafter not one_minus_square or pow rem round rsqrt select_n shift_left
+    shift_right_arithmetic sign sin sinh sqrt square stop_gradient sub tan tanh xor
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 REDUCTIONS = {
@@ -102,6 +103,18 @@ class Program:
             return Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
+def _split(x: Numbers, params: Params) -> list[Numbers]:
+    return np.split(x, np.cumsum(params["sizes"])[:-1], params["axis"])
+
+
+def _unstacked(x: Numbers, params: Params) -> list[Numbers]:
+    rows = np.moveaxis(x, params["axis"], 0)
+    return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
+
+
+_PARTS = {"split": _split, "unstack": _unstacked}
+
+
 def _alone(value: Any) -> Numbers:
     return as_objects([value], ())
 
@@ -154,12 +167,11 @@ class Walk:
             return [self.elementwise(name, params, inputs, shape, dtype)]
         if name in REDUCTIONS:
             return [self.reduced(REDUCTIONS[name], inputs[0], params["axes"], dtype)]
-        if name == "split":
-            cuts = np.cumsum(params["sizes"])[:-1]
-            return np.split(inputs[0], cuts, params["axis"])
-        if name == "unstack":
-            rows = np.moveaxis(inputs[0], params["axis"], 0)
-            return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
+        if name in ALONG:
+            types = equation.invars[0].aval.dtype, dtype
+            return [along(self.operation, name, inputs[0], params, *types)]
+        if name in _PARTS:
+            return _PARTS[name](inputs[0], params)
         if name == "dot_general" and not any(params["dimension_numbers"][1]):
             a, b = inputs
             return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]
@@ -204,6 +216,8 @@ class Walk:
         known = [isinstance(x, np.generic) for x in operands]
         if name == "select_n" and known[0]:
             return operands[1 + int(operands[0])]
+        if name == "select_n" and len(operands) > 3:
+            return self.one_of(operands[0], operands[1:], dtype)
         if name == "integer_pow":
             return self.power(operands[0], params["y"], dtype)
         if all(known):
@@ -212,6 +226,14 @@ class Walk:
         if short is not None:
             return short
         return self.operate(name, params, operands, dtype)
+
+    def one_of(self, which: Any, options: list[Any], dtype: np.dtype) -> Any:
+        """The one of some numbers that has an index."""
+        found = options[-1]
+        for i, option in reversed([*enumerate(options[:-1])]):
+            here = self.operation("le", {}, [which, np.int32(i)], np.dtype(bool))
+            found = self.operation("select_n", {}, [here, found, option], dtype)
+        return found
 
     def power(self, x: Any, exponent: int, dtype: np.dtype) -> Any:
         """A whole power by repeated squares."""

@@ -33,13 +33,26 @@ FORMULAS = {
 }
 FUNCTIONS = frozenset(
     """
-    abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh exp exp2 expm1 floor
-    log log1p max min pow rem sign sin sinh sqrt tan tanh
+    abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh erf erfc exp exp2
+    expm1 floor lgamma log log1p max min pow rem sign sin sinh sqrt tan tanh
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
+_OF_SEVERAL = {
+    # the order of all numbers: what is not one behind them
+    "lt_to": "({0} < {1}) | (({0} == {0}) & ({1} != {1}))",
+    "le_to": "({0} <= {1}) | ({1} != {1})",
+    "not": "not{end}({0})",
+    "select_n": "choose{end}({0}, {2}, {1})",
+    "select_n_truth": "({0} & {2}) | (not{end}({0}) & {1})",
+    "clamp": "max{end}({0}, min{end}({1}, {2}))",
+}
+# half a number away from zero, or to the even one, by XLA's number of the way
+ROUNDED = {0: "round", 1: "rint"}
 # of whole numbers up to 2^53 (2^24 in single precision) a real one is exact
 _OF_WHOLE = frozenset(
-    "add sub neg max min clamp select_n convert_element_type".split()  # noqa: SIM905
+    """
+    abs add clamp convert_element_type div max min mul neg rem select_n sign sub
+    """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 _PLACE = re.compile(r"shared\[(\d+)\]")  # of a number that lies in memory
 
@@ -98,6 +111,8 @@ class Statements:
         row = any(x.row for x in known)
         fixed = all(x.fixed for x in known)
         text = _expression(name, params, operands, row)
+        if whole and name == "div":  # towards zero: below 2^53 no rounding gets there
+            text = f"trunc{'_row' if row else '_one'}({text})"
         return self._symbol(text, Symbol("", row, truth, fixed, whole))
 
     def _symbol(self, text: str, like: Symbol) -> Symbol:
@@ -153,19 +168,20 @@ def _expression(name: str, params: Params, operands: list[Any], row: bool) -> st
     texts = [_written(x, row) for x in operands]
     if name in _LOGICAL:
         return f" {_LOGICAL[name]} ".join(texts)
-    if name == "not":
-        return f"not_row({texts[0]})" if row else f"!{texts[0]}"
     if name in FORMULAS:
         return FORMULAS[name].format(texts[0], ending)
-    if name == "select_n" and len(texts) == 3:
-        which, no, yes = texts
-        return f"choose{ending}({which}, {yes}, {no})"
-    if name == "clamp":
-        least, x, most = texts
-        return f"max{ending}({least}, min{ending}({x}, {most}))"
+    if name == "round":
+        return f"{ROUNDED[int(params['rounding_method'])]}{ending}({texts[0]})"
+    if name in _OF_SEVERAL:
+        name += "_truth" if name == "select_n" and _is_truth(operands[1]) else ""
+        return _OF_SEVERAL[name].format(*texts, end=ending)
     if name in FUNCTIONS:
         return f"{name}{ending}({', '.join(texts)})"
     raise NotElementwiseError(name)
+
+
+def _is_truth(x: Any) -> bool:
+    return x.truth if isinstance(x, Symbol) else isinstance(x, TRUTH)
 
 
 def _converted(x: Symbol, dtype: Any, row: bool) -> str:

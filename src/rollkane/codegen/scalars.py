@@ -10,7 +10,14 @@ import numpy as np
 from .jaxpr_types import Params
 from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
-from .scalar_source import ARITHMETIC, COMPARED, FORMULAS, FUNCTIONS, literal
+from .scalar_source import (
+    ARITHMETIC,
+    COMPARED,
+    FORMULAS,
+    FUNCTIONS,
+    ROUNDED,
+    literal,
+)
 
 # type in C of real numbers, whole ones and truth values
 IN_C = {"real": "real", "whole": "long", "truth": "int"}
@@ -91,6 +98,8 @@ def expression(name: str, params: Params, operands: list[Any], dtype: np.dtype) 
         return f"{texts[0]} {_BETWEEN[name]} {texts[1]}"
     if name in _OF_SEVERAL:
         return _OF_SEVERAL[name].format(*texts)
+    if name == "round":
+        return f"{ROUNDED[int(params['rounding_method'])]}_one({texts[0]})"
     if name in FORMULAS:
         return FORMULAS[name].format(texts[0], "_one")
     if name in FUNCTIONS and kind != "truth" and type_of(dtype) == "real":
