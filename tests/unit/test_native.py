@@ -116,6 +116,10 @@ FURTHER = [
     lambda y, t: jnp.where(jnp.where(y > 0.1, t > y, t < 0.5), y, -y),
     lambda y, t: jnp.searchsorted(jnp.asarray(KNOTS, y.dtype), y).astype(y.dtype) * y,
     lambda y, t: jax.lax.erfc(y) * 0.3,
+    lambda y, t: jnp.stack([y, t, -y])[jnp.argmax(jnp.stack([y, t, 0.1 - y]))],
+    lambda y, t: jnp.interp(
+        t, jnp.asarray(KNOTS, y.dtype), y * jnp.asarray(TABLE, y.dtype)
+    ),
 ]
 
 
@@ -267,11 +271,14 @@ def test_codes():
             "long scan",
         ),
         (lambda t, y, a, b: jax.lax.while_loop(jnp.any, lambda c: c - 1, y), "while"),
-        (lambda t, y, a, b: y[jnp.argmin(y)] * y, "argmin"),
-        (lambda t, y, a, b: y * y[t.astype(int)], "among numbers that are computed"),
-        (lambda t, y, a, b: y * jnp.argmax(y).astype(y.dtype), "argmax"),
+        (
+            lambda t, y, a, b: y * jnp.resize(y, 40)[t.astype(int)],
+            "among numbers that are computed",
+        ),
+        (lambda t, y, a, b: y.at[jnp.argmax(y)].set(t), "scatter"),
+        (lambda t, y, a, b: y * jnp.linalg.cholesky(jnp.eye(2) + t)[1, 0], "cholesky"),
     ],
-    ids=["sort", "scan", "while", "argmin", "lookup", "argmax"],
+    ids=["sort", "scan", "while", "lookup", "scatter", "cholesky"],
 )
 def test_more_than_arithmetic_is_refused(derivative, says):
     with pytest.raises(NotElementwiseError, match=says):

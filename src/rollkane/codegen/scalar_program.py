@@ -42,6 +42,8 @@ REDUCTIONS = {
     "reduce_or": "or",
 }
 
+# of so many one is chosen, where they do not lie in memory to be looked up
+_FEW = 32
 # numbers of a loop that is written out: beyond, compilers take too long
 _MOST_NUMBERS = 50_000
 
@@ -277,8 +279,17 @@ class Walk:
         for index in np.ndindex(result.shape):
             row = np.moveaxis(numbers, axis, -1)[*index[:axis], *index[axis + 1 :]]
             candidates = row[index[axis] : index[axis] + last + 1]
-            result[index] = self.operate("lookup", {}, [first, candidates], dtype)
+            result[index] = self.looked_up(first, candidates, dtype)
         return result
+
+    def looked_up(self, place: Any, numbers: Numbers, dtype: np.dtype) -> Any:
+        """The number at a place; of a few that are computed, by as many choices."""
+        try:
+            return self.operate("lookup", {}, [place, numbers], dtype)
+        except NotElementwiseError:
+            if len(numbers) > _FEW:
+                raise
+        return self.one_of(place, list(numbers), dtype)
 
     def chosen(
         self, which: Any, branches: Sequence[ClosedJaxpr], inputs: list[Numbers]
