@@ -578,3 +578,24 @@ def test_an_inconsistent_impact_by_newton_ends_with_a_code():
         modes = rk.Modes(friction=0.3, restitution=0.9, impact=law)
         run = rk.simulate(scene, start, [0.0, 0.12], modes=modes)
         assert run.code == code, (law, run.reason)
+
+
+def test_a_run_goes_on_from_its_final_state():
+    """From the state of its mode; that of all modes was taken for one in contact."""
+    ball = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)))
+    modes = rk.Modes(friction=0.3, restitution=0.5)
+    start = rk.release(ball, (1, 0, 0, 0), (0, 3, 1), (0, 0, 1.0), (1.0, 0, 0))
+    run = lambda start, *times: rk.simulate(ball, start, times, modes=modes)
+    first = run(start, 0.0, 0.2)
+    assert first.final_state.mode == rk.Mode.FLYING
+    second = run(first.final_state.in_its_mode, 0.2, 0.6)
+    whole = run(start, 0.0, 0.6)
+    # flight and the slip of a ball are parabolas, which any steps follow to roundings
+    np.testing.assert_allclose(
+        second.position[-1], whole.position[-1], rtol=0.0, atol=1e-12
+    )
+    for state in (first.final_state, first.final_state.parts):
+        with pytest.raises(rk.FieldError, match=r"final_state\.in_its_mode"):
+            run(state, 0.2, 0.6)
+        with pytest.raises(rk.FieldError, match=r"final_state\.in_its_mode"):
+            rk.simulate(ball, state, (0.2, 0.6))

@@ -13,7 +13,7 @@ from ..dynamics.clearance import nearest_is_found
 from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling_problem import has_margin
 from ..dynamics.scene import Rolling, Scene
-from ..hybrid.modes import Modes
+from ..hybrid.modes import HybridState, ModedState, Modes
 from ..kinematics.coordinates import FlyingState, SlidingState, State
 from ..kinematics.voronets import VoronetsState
 from ..validation.checks import FieldError, is_traced
@@ -62,6 +62,7 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
     if not isinstance(modes, Modes):
         raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
     known = State, SlidingState, FlyingState
+    _check_one_mode("simulate.start", start)
     if not isinstance(start, known):
         remedy = "make it with rollkane.place or rollkane.release"
         raise FieldError("simulate.start", start, "must be a State", remedy)
@@ -111,8 +112,17 @@ def _form_of(scene: Scene) -> _Form:
     return _Form(scene.contact.slips, both | pole_free, both | in_charts, bodies)
 
 
+def _check_one_mode(where: str, start: object) -> None:
+    """Refuse a state that could be in any mode: of them it would be in contact."""
+    if isinstance(start, (HybridState, ModedState)):
+        remedy = "give final_state.in_its_mode to go on from a run with modes"
+        kind = "is a state of all modes at once"
+        raise FieldError(where, type(start).__name__, kind, remedy)
+
+
 def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
     """Refuse a start that does not belong to the scene."""
+    _check_one_mode(where, start)
     if not isinstance(start, (State, VoronetsState)):
         remedy = "make it with rollkane.place"
         if isinstance(start, list):
