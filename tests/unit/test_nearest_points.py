@@ -102,6 +102,19 @@ FAR = {
 }
 
 
+def placed_near(base, seed, least):
+    """Orientations, and places from so far over the base on [m]."""
+    _, distance, place = FAR[base]
+    draw = np.random.default_rng(seed)
+    turned = draw.normal(size=(60, 4))
+    turned /= np.linalg.norm(turned, axis=1)[:, None]
+    at = np.stack([place(*draw.uniform(-1.0, 1.0, 2)) for _ in turned])
+    slope = np.stack(
+        [(distance(at + e) - distance(at - e)) / 2e-6 for e in 1e-6 * np.eye(3)], 1
+    )
+    return turned, at + draw.uniform(least, 1.5, 60)[:, None] * slope
+
+
 @pytest.mark.parametrize("base", FAR)
 @pytest.mark.parametrize("body", [rk.Torus(0.4, 0.12), EGG], ids=["torus", "egg"])
 def test_gap_is_that_of_the_nearest_of_all_places(body, base):
@@ -110,16 +123,9 @@ def test_gap_is_that_of_the_nearest_of_all_places(body, base):
     A search from a place without a low sample once ended at points that look away from
     each other, metres in the base.
     """
-    make, distance, place = FAR[base]
+    make, distance, _ = FAR[base]
     scene = rk.Scene(rk.Body(1.0, np.eye(3), body), rk.Base(make()))
-    draw = np.random.default_rng(3)
-    turned = draw.normal(size=(60, 4))
-    turned /= np.linalg.norm(turned, axis=1)[:, None]
-    at = np.stack([place(*draw.uniform(-1.0, 1.0, 2)) for _ in turned])
-    slope = np.stack(
-        [(distance(at + e) - distance(at - e)) / 2e-6 for e in 1e-6 * np.eye(3)], 1
-    )
-    at = at + draw.uniform(0.6, 1.5, 60)[:, None] * slope
+    turned, at = placed_near(base, 3, 0.6)
     still = (0.0, 0.0, 0.0)
     release = lambda q, r: rk.release(scene, q, still, r, still)
     anywhere = lambda y: nearest_points.nearest_anywhere(scene, jnp.asarray(0.0), y)
@@ -291,16 +297,9 @@ def test_the_gap_of_a_disc_passes_from_rim_to_face():
 
 @pytest.mark.parametrize("base", FAR)
 def test_gap_of_a_disc_is_that_of_the_nearest_of_its_points(base):
-    make, distance, place = FAR[base]
+    make, distance, _ = FAR[base]
     _, gap = disc_over(make())
-    draw = np.random.default_rng(4)
-    turned = draw.normal(size=(60, 4))
-    turned /= np.linalg.norm(turned, axis=1)[:, None]
-    at = np.stack([place(*draw.uniform(-1.0, 1.0, 2)) for _ in turned])
-    slope = np.stack(
-        [(distance(at + e) - distance(at - e)) / 2e-6 for e in 1e-6 * np.eye(3)], 1
-    )
-    at = at + draw.uniform(0.5, 1.5, 60)[:, None] * slope
+    turned, at = placed_near(base, 4, 0.5)
     found = np.asarray(jax.jit(jax.vmap(gap))(turned, at))
     radius, angle = np.meshgrid(
         np.linspace(0.0, DISC, 101), np.linspace(-np.pi, np.pi, 401)

@@ -1,4 +1,4 @@
-"""Running sums, places of the largest and rows at indices, of arrays of single numbers.
+"""Running sums, and places of the largest, of arrays of single numbers.
 
 ``operation(name, params, operands, dtype)`` writes one operation on numbers
 (``scalar_program``), and leaves it out where they are known.

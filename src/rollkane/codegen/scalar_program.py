@@ -42,7 +42,8 @@ REDUCTIONS = {
     "reduce_or": "or",
 }
 
-# of so many one is chosen, where they do not lie in memory to be looked up
+# of so many one is chosen, where they do not lie in memory to be looked up: as many
+# lines for every lookup
 _FEW = 32
 # numbers of a loop that is written out: beyond, compilers take too long
 _MOST_NUMBERS = 50_000

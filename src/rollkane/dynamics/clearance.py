@@ -89,7 +89,7 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
     for surface, level, on_base, searched in _sides(scene, t, state):
         gap, place = _lowest(surface, level, searched)
         found.append((gap, on_base(place)))
-        if surface is body and body.face_samples() is not None:
+        if surface is body and body.has_face:
             gaps, faces = _face_candidates(body, level, 1, searched)
             found.append((gaps[0], on_base(faces[0])))
     gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
@@ -132,7 +132,7 @@ def lowest_places(
         for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
     ]
     for surface, level, on_base, searched in sides:
-        if surface is body and body.face_samples() is not None:
+        if surface is body and body.has_face:
             gaps, faces = _face_candidates(body, level, _NEAREST, searched)
             found.append((gaps, jax.vmap(on_base)(faces)))
     gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))

@@ -36,34 +36,39 @@ def has_face(scene: Scene) -> bool:
     nothing is told, as everywhere of two edges.
     """
     body, base = scene.body.surface, scene.base.surface
-    return body.face_rim() is not None and not (base.is_flat or base.is_edge)
+    return body.has_face and not (base.is_flat or base.is_edge)
 
 
-def on_rim(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, below: Array
-) -> tuple[Scene, Float[Array, "2 k"]]:
-    """The rim over the base instead of the body, and where on it to begin a search.
+def rim_over(scene: Scene) -> Scene:
+    """The rim over the base, instead of the body.
 
     By its own coordinates: the normal has no say where it is about that of the face.
 
     Args:
         scene: One of which :func:`has_face` is true.
-        t: Time [s].
-        state: With a point of the base from which to go.
-        below: Coordinates of the one that may be below the point of the rim.
-
-    Returns:
-        The scene; coordinates over that point, and those that go with the normal.
     """
     rim = scene.body.surface.face_rim()
     assert rim is not None
-    base = scene.base.surface
+    body = eqx.tree_at(lambda body: body.surface, scene.body, rim)
+    return Scene(body, scene.base)
+
+
+def starts_on_rim(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, below: Array
+) -> Float[Array, "2 k"]:
+    """Where on a rim to begin: over a point of the base, and by the normal.
+
+    Args:
+        scene: The rim over the base.
+        t: Time [s].
+        state: With a point of the base from which to go.
+        below: Coordinates of the one that may be below the point of the rim.
+    """
+    rim, base = scene.body.surface, scene.base.surface
     _, origin, to_base = flying_pose(scene, t, state)
     foot = matvec_transposed(to_base, base.point(below) - origin)
     out = -matvec_transposed(to_base, base.geometry(state.contact_on_base).normal)
-    body = eqx.tree_at(lambda body: body.surface, scene.body, rim)
-    starts = jnp.stack([rim.at_edge(foot, out), rim.at_edge(out, out)])
-    return Scene(body, scene.base), starts
+    return jnp.stack([rim.at_edge(foot, out), rim.at_edge(out, out)])
 
 
 def is_nearest(
@@ -107,8 +112,9 @@ def _is_this_side(
     level = scene.base.surface.signed_distance(origin + matvec(to_base, point))
     if level is None:
         return True
-    rounding = cast(float, np.sqrt(np.finfo(gap.dtype).eps)) * (1.0 + norm(origin))
-    return (level * gap > 0.0) | (jnp.abs(gap) < rounding)
+    # at a contact both signs are rounding: far more than that, far less than a base
+    least = cast(float, np.sqrt(np.finfo(gap.dtype).eps)) * (1.0 + norm(origin))
+    return (level * gap > 0.0) | (jnp.abs(gap) < least)
 
 
 def nearer_to_face(
@@ -158,9 +164,9 @@ def is_on_face(
         gap: That was found [m].
     """
     _, origin, to_base = flying_pose(scene, t, state)
-    level = jnp.array([1.0, 1.0, 0.0], gap.dtype)
+    in_plane = jnp.array([1.0, 1.0, 0.0], gap.dtype)
     ground = scene.base.surface.point(below)
-    foot = level * matvec_transposed(to_base, ground - origin)
+    foot = in_plane * matvec_transposed(to_base, ground - origin)
     extent = scene.body.surface.face_extent(foot)
     assert extent is not None
     return (extent > 0.0) & _is_this_side(scene, t, state, foot, gap)

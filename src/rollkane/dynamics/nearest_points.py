@@ -32,7 +32,8 @@ from .nearest_on_face import (
     is_nearest,
     is_on_face,
     nearer_to_face,
-    on_rim,
+    rim_over,
+    starts_on_rim,
 )
 from .scene import Scene
 
@@ -95,7 +96,9 @@ def _searched(
     (below, _), of_face = _by_newton(nearer_to_face, scene, t, state, steps)
     holds = is_on_face(scene, t, state, below, of_face)
     near = jnp.where(jnp.isnan(of_face), state.contact_on_base, below)
-    places, gap = _on_rim(*on_rim(scene, t, state, near), t, state, steps)
+    rim = rim_over(scene)
+    starts = starts_on_rim(rim, t, state, near)
+    places, gap = _on_rim(rim, starts, t, state, steps)
     on_face = holds & ~(gap <= of_face)
     on_base = jnp.where(on_face, below, places[0])
     return _Found((on_base, places[1]), jnp.where(on_face, of_face, gap), on_face)
@@ -162,7 +165,7 @@ def _nearest_from(
     if found.on_face is None:
         places, _, gap = _improved(scene, *at)
         return gap, eqx.tree_at(places_of, state, places)
-    rim, _ = on_rim(scene, t, state, found.places[0])
+    rim = rim_over(scene)
     either = lambda: nearer_to_face(scene, *at), lambda: _improved(rim, *at)
     (on_base, _), _, gap = cast(Any, jax.lax.cond(found.on_face, *either))
     return gap, eqx.tree_at(lambda s: s.contact_on_base, state, on_base)

@@ -61,8 +61,8 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
     refuse_rolling_parts("simulate.modes", scene.supported)
     if not isinstance(modes, Modes):
         raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
-    known = State, SlidingState, FlyingState
     _check_one_mode("simulate.start", start)
+    known = State, SlidingState, FlyingState
     if not isinstance(start, known):
         remedy = "make it with rollkane.place or rollkane.release"
         raise FieldError("simulate.start", start, "must be a State", remedy)

@@ -27,6 +27,8 @@ class AbstractSurface(eqx.Module):
 
     coordinate_count: eqx.AbstractClassVar[int]
     is_flat: ClassVar[bool] = False
+    # whether a flat of the body, in the plane z = 0, is left out of the surface
+    has_face: ClassVar[bool] = False
     is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
     is_height: ClassVar[bool] = False  # one height above each x and y, drawn in part
     is_by_normal: ClassVar[bool] = False  # parametrized by its normal, edges included
@@ -124,10 +126,7 @@ class AbstractSurface(eqx.Module):
         return np.asarray(self.samples())
 
     def face_rim(self) -> "AbstractSurface | None":
-        """The edge round a flat of the body that this surface leaves out.
-
-        The flat is in the plane z = 0. None: there is none.
-        """
+        """The edge round that flat, as a surface of its own; None: there is none."""
 
     def face_samples(self) -> np.ndarray | None:
         """Samples over that flat, shape (n, 3); None: there is none."""

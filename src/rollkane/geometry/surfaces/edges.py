@@ -78,6 +78,7 @@ class DiscEdge(AbstractNormalSurface):
     """
 
     is_edge: ClassVar[bool] = True
+    has_face: ClassVar[bool] = True
     radius: Float[Array, ""]
 
     def __init__(self, radius: ArrayLike):
