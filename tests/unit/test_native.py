@@ -13,6 +13,8 @@ from rollkane.codegen import compiler as compilers
 from rollkane.codegen.scalar_program import NotElementwiseError
 from rollkane.codegen.tableau import weights_of
 
+from ..whole_numbers import NARROW, least_and_most, noise, wrapping
+
 TABLE, KNOTS = np.sin(np.arange(9.0)), np.linspace(-0.4, 0.6, 9)
 PLACES = np.arange(12.0).reshape(4, 3) ** 0.5
 
@@ -204,6 +206,47 @@ def test_tables_choices_and_whole_numbers_give_what_jax_gives(dtype, lanes):
     np.testing.assert_allclose(found, ends, rtol=0, atol=close)
     assert np.isfinite(ends).all()
     assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4
+
+
+@pytest.mark.parametrize("lanes", [1, None])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_whole_numbers_wrap_as_in_xla(dtype, lanes):
+    """Was: computed as real numbers, so that a noise of whole ones was another."""
+    half = len(OPERATIONS) // 2
+
+    def rates(t, y, shared, own):
+        del t, shared, own
+        kinds = *NARROW, "int64"
+        found = [wrapping(y[i], kind, 300.0) for i, kind in enumerate(kinds)]
+        every = jnp.concatenate([*found, least_and_most(y[7]), noise(y[8])[None]])
+        # each number has its own weight: none makes up for another
+        weighted = jnp.cos(jnp.arange(every.size, dtype=y.dtype)) * every
+        padded = jnp.pad(weighted, (0, -every.size % half))
+        # what they are numbers of stays, so that no stage moves where they jump
+        return jnp.pad(jnp.sum(padded.reshape(-1, half), axis=0), (half, 0))
+
+    queue = queue_of(64, dtype)
+    tolerant = np.full_like(queue.atol, 1e9)
+    steps = np.full_like(queue.first_steps, 0.1)
+    queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
+    found = loop_of(rates, dtype, lanes).run(queue, STOPS).final_y
+    by_jax = jax.jit(rates)
+    ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    close = 50 * np.finfo(dtype).eps  # sums of some ten parts of about one
+    np.testing.assert_allclose(found, ends, rtol=0, atol=close)
+    assert np.ptp((ends - queue.starts)[:, half:], axis=0).min() > 1e-3
+
+
+def test_numbers_that_c_does_not_have_are_refused():
+    """Complex ones are no real ones, and 64 bits with a sign end at 2^63."""
+    for f in (
+        lambda y: jnp.abs(jnp.sqrt((y - 0.5).astype(complex))),
+        lambda y: y.astype(jnp.uint64).astype(y.dtype),
+        lambda y: jax.lax.population_count(y.astype(int)).astype(y.dtype),
+    ):
+        rates = lambda t, y, shared, own, f=f: f(y)
+        with pytest.raises(NotElementwiseError):
+            loop_of(rates)
 
 
 def test_outputs_are_landed_on():

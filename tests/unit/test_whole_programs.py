@@ -14,6 +14,8 @@ from rollkane.codegen.known_numbers import of_known
 from rollkane.codegen.scalar_program import NotElementwiseError
 from rollkane.geometry.small_linear import components
 
+from ..whole_numbers import NARROW, least_and_most, noise, wrapping
+
 X = jnp.array([0.3, -0.5, 0.9])
 MANY = jnp.sin(1.0 + jnp.arange(60.0) ** 1.5)
 ROUNDING = 1e-14
@@ -287,6 +289,25 @@ def test_whole_numbers():
     compare(lambda i: outside(jnp.stack([i, i + 2])) < 0, jnp.asarray(1))
     largest = jnp.array([jnp.nan, jnp.inf, -jnp.inf, 1e300, -2.7, 2.7])
     compare(lambda x: x.astype(int), largest)
+
+
+@pytest.mark.parametrize("kind", [*NARROW, "int64"])
+def test_whole_numbers_wrap_as_in_xla(kind):
+    compare(lambda x: wrapping(x, kind, 300.0), jnp.asarray(0.37))
+    found = compare(lambda x: wrapping(x, kind, 300.0), jnp.asarray(-0.43))
+    assert np.ptp(found) > 0.5
+
+
+def test_whole_numbers_of_reals_and_noise():
+    compare(least_and_most, jnp.asarray(0.3))
+    first, second = (compare(noise, jnp.asarray(x)) for x in (0.3, 0.301))
+    assert first != second
+
+
+def test_numbers_that_c_does_not_have_are_refused():
+    for f in (lambda x: jnp.sqrt(x + 0j).real, lambda x: x.astype(jnp.uint64) * 2):
+        with pytest.raises(NotElementwiseError):
+            in_one_program(f, jnp.asarray(2.0))
 
 
 def test_numbers_that_are_none():

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .data_movement import Numbers, as_objects
-from .scalars import IN_C, Number, in_c, type_of
+from .scalars import IN_C, Number, in_c
 from .statement_writer import Writer
+from .whole_numbers import type_of
 
 Index = tuple[int | str, ...]  # of a number in an array: known, or a text in C
 

@@ -10,7 +10,8 @@ from .data_movement import sliced
 from .jaxpr_types import Aval, Equation, Params
 from .memory_walk import MemoryWalk, Value
 from .scalar_program import ELEMENTWISE, REDUCTIONS, Axes, NotElementwiseError
-from .scalars import Number, in_c, type_of
+from .scalars import Number, in_c
+from .whole_numbers import type_of
 
 
 def in_memory(

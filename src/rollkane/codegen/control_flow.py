@@ -30,10 +30,11 @@ from .loop_invariants import invariants
 from .memory_walk import SMALL, MemoryWalk, Value, kept
 from .new_programs import pruned
 from .scalar_program import NotElementwiseError
-from .scalars import Number, in_c, type_of
+from .scalars import Number, in_c
 from .shared_calls import SharedCalls
 from .statement_writer import Block, Target
 from .value_uses import is_free, is_literal, last_uses, read
+from .whole_numbers import type_of
 
 # numbers of a loop of known length that is written out
 _WRITTEN_OUT = 300

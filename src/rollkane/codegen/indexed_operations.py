@@ -15,7 +15,8 @@ from .data_movement import Numbers, as_objects, numbers_of
 from .jaxpr_types import Equation
 from .memory_walk import MemoryWalk, Value
 from .scalar_program import NotElementwiseError
-from .scalars import Number, in_c, type_of
+from .scalars import Number, in_c
+from .whole_numbers import type_of
 
 # of so few numbers one is chosen, where more are looked up
 _CHOSEN = 4

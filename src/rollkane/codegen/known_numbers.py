@@ -45,8 +45,11 @@ def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) ->
     known = _IN_NUMPY.get(name)
     if known is not None and (name != "div" or dtype.kind == "f"):
         return dtype.type(known(*operands))
-    if name in ("copy", "convert_element_type", "stop_gradient"):
-        return dtype.type(operands[0])
+    cut = isinstance(operands[0], REAL) and dtype.kind in "iu"  # by XLA's own rules
+    if name in ("copy", "stop_gradient") or (
+        name == "convert_element_type" and not cut
+    ):
+        return operands[0].astype(dtype)
     # rare: whatever XLA makes of it
     primitive = getattr(jax.lax, name + "_p")
     with jax.ensure_compile_time_eval():

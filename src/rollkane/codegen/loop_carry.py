@@ -5,8 +5,9 @@ from .data_movement import as_objects
 from .indexed_operations import WRITING
 from .jaxpr_types import Aval, ClosedJaxpr
 from .memory_walk import SMALL, MemoryWalk, Value
-from .scalars import in_c, type_of
+from .scalars import in_c
 from .statement_writer import Target
+from .whole_numbers import type_of
 
 
 class Carry:

@@ -14,8 +14,9 @@ from .array_memory import Arrays, Memory
 from .data_movement import numbers_of
 from .jaxpr_types import Params
 from .scalar_program import NotElementwiseError, Walk
-from .scalars import Number, expression, in_c, type_of
+from .scalars import Number, expression, in_c
 from .statement_writer import Writer
+from .whole_numbers import type_of
 
 # numbers of an array that are written one by one
 SMALL = 32

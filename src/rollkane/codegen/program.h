@@ -16,14 +16,6 @@ typedef struct {
 /* Whether runs are to end where they are (program_call.c). */
 OF_THE_PROGRAM int to_end_now(void);
 
-/* like XLA's: what is not a number is zero, what is too large the largest */
-INLINE long whole_of(real x) {
-    const long most = (long)(~0UL >> 1);
-    return x != x ? 0 : x >= 0x1p63 ? most : x <= -0x1p63 ? -most - 1 : (long)x;
-}
-INLINE long div_whole(long a, long b) { return b == 0 ? -1 : a / b; }
-INLINE long rem_whole(long a, long b) { return b == 0 ? a : a % b; }
-
 /* The largest numbers of a row, in order, and where they are; what is not one first. */
 INLINE void largest(long n, const real *x, long stride, long k, real *top, real *place) {
     long count = 0;

@@ -75,6 +75,91 @@ ONE(exp, exp) ONE(exp2, exp2) ONE(expm1, expm1) ONE(floor, floor) ONE(log, log)
 ONE(log1p, log1p) ONE(sin, sin) ONE(sinh, sinh) ONE(sqrt, sqrt) ONE(tan, tan)
 ONE(tanh, tanh) ONE(trunc, trunc) ONE(rint, rint) ONE(round, round) ONE(erf, erf)
 ONE(erfc, erfc) ONE(lgamma, lgamma) TWO(atan2, atan2) TWO(pow, pow) TWO(rem, fmod)
+/* Whole numbers, of 64 bits whatever the real ones have: they wrap, and trap nothing. */
+#if ONE_LANE
+typedef int64_t whole_row;
+#else
+typedef int64_t whole_row __attribute__((vector_size(LANES * 8)));
+#endif
+#define EACH_LANE for (int l = 0; l < LANES; l++)
+#define WHOLE_ONE(name, text)                                                          \
+    INLINE int64_t name##_one(int64_t a) { return text; }                              \
+    INLINE whole_row name##_row(whole_row x) {                                         \
+        whole_row r;                                                                   \
+        EACH_LANE LANE(r, l) = name##_one(LANE(x, l));                                 \
+        return r;                                                                      \
+    }
+#define WHOLE_TWO(name, text)                                                          \
+    INLINE int64_t name##_whole_one(int64_t a, int64_t b) { return text; }             \
+    INLINE whole_row name##_whole_row(whole_row x, whole_row y) {                      \
+        whole_row r;                                                                   \
+        EACH_LANE LANE(r, l) = name##_whole_one(LANE(x, l), LANE(y, l));               \
+        return r;                                                                      \
+    }
+#define WHOLE_COMPARED(name, sign)                                                     \
+    INLINE int name##_whole_one(int64_t a, int64_t b) { return a sign b; }             \
+    INLINE mask name##_whole_row(whole_row x, whole_row y) {                           \
+        mask r;                                                                        \
+        EACH_LANE LANE(r, l) = LANE(x, l) sign LANE(y, l) ? YES : 0;                   \
+        return r;                                                                      \
+    }
+#define WRAPPED(sign) (int64_t)((uint64_t)a sign (uint64_t)b)
+WHOLE_TWO(add, WRAPPED(+)) WHOLE_TWO(sub, WRAPPED(-)) WHOLE_TWO(mul, WRAPPED(*))
+WHOLE_TWO(div, b == 0 ? -1 : b == -1 ? (int64_t)(0 - (uint64_t)a) : a / b)
+WHOLE_TWO(rem, b == 0 ? a : b == -1 ? 0 : a % b)
+WHOLE_TWO(max, a > b ? a : b) WHOLE_TWO(min, a < b ? a : b)
+WHOLE_TWO(and, a & b) WHOLE_TWO(or, a | b) WHOLE_TWO(xor, a ^ b)
+WHOLE_TWO(left, b < 0 || b > 63 ? 0 : (int64_t)((uint64_t)a << b))
+WHOLE_TWO(right, a >> (b < 0 || b > 63 ? 63 : b))
+WHOLE_TWO(logical, b < 0 || b > 63 ? 0 : (int64_t)((uint64_t)a >> b))
+WHOLE_ONE(neg_whole, (int64_t)(0 - (uint64_t)a)) WHOLE_ONE(not_whole, ~a)
+WHOLE_ONE(abs_whole, a < 0 ? (int64_t)(0 - (uint64_t)a) : a)
+WHOLE_ONE(sign_whole, (a > 0) - (a < 0))
+WHOLE_ONE(square_whole, (int64_t)((uint64_t)a * (uint64_t)a))
+WHOLE_ONE(int8_of, (int8_t)a) WHOLE_ONE(int16_of, (int16_t)a) WHOLE_ONE(int32_of, (int32_t)a)
+WHOLE_ONE(uint8_of, (uint8_t)a) WHOLE_ONE(uint16_of, (uint16_t)a)
+WHOLE_ONE(uint32_of, (uint32_t)a)
+WHOLE_COMPARED(lt, <) WHOLE_COMPARED(le, <=) WHOLE_COMPARED(gt, >) WHOLE_COMPARED(ge, >=)
+WHOLE_COMPARED(eq, ==) WHOLE_COMPARED(ne, !=)
+INLINE int64_t clamp_whole_one(int64_t low, int64_t a, int64_t high) {
+    return min_whole_one(max_whole_one(a, low), high);
+}
+INLINE whole_row clamp_whole_row(whole_row low, whole_row x, whole_row high) {
+    return min_whole_row(max_whole_row(x, low), high);
+}
+INLINE int64_t choose_whole_one(int m, int64_t a, int64_t b) { return m ? a : b; }
+INLINE whole_row choose_whole_row(mask m, whole_row x, whole_row y) {
+    whole_row r;
+    EACH_LANE LANE(r, l) = LANE(m, l) ? LANE(x, l) : LANE(y, l);
+    return r;
+}
+INLINE whole_row splat_whole(int64_t a) {
+    whole_row r;
+    EACH_LANE LANE(r, l) = a;
+    return r;
+}
+/* like XLA's: of what is not a number zero, of what is too large the largest */
+INLINE int64_t whole_of_one(real x, int bits, int has_sign) {
+    const real above = C(ldexp)(1, bits - has_sign), least = has_sign ? -above : 0;
+    const int64_t most = INT64_MAX >> (64 - bits - !has_sign);
+    if (x != x) return 0;
+    return x >= above ? most : x <= least ? (has_sign ? -most - 1 : 0) : (int64_t)x;
+}
+INLINE whole_row whole_of_row(row x, int bits, int has_sign) {
+    whole_row r;
+    EACH_LANE LANE(r, l) = whole_of_one(LANE(x, l), bits, has_sign);
+    return r;
+}
+INLINE row real_of_whole_row(whole_row x) {
+    row r;
+    EACH_LANE LANE(r, l) = (real)LANE(x, l);
+    return r;
+}
+INLINE whole_row whole_of_mask(mask m) {
+    whole_row r;
+    EACH_LANE LANE(r, l) = LANE(m, l) != 0;
+    return r;
+}
 /* Of a table's every n-th number the one of an index, the nearest if it has none;
  * the first if that is not a number. */
 INLINE real lookup_one(const real *table, long stride, long count, real index) {

@@ -30,7 +30,8 @@ ELEMENTWISE = frozenset(
     convert_element_type copy cos cosh div eq erf erfc exp exp2 expm1 floor ge gt
     integer_pow is_finite le le_to lgamma log log1p logistic lt lt_to max min mul ne neg
     nextafter not one_minus_square or pow rem round rsqrt select_n shift_left
-    shift_right_arithmetic sign sin sinh sqrt square stop_gradient sub tan tanh xor
+    shift_right_arithmetic shift_right_logical sign sin sinh sqrt square
+    stop_gradient sub tan tanh xor
     """.split()  # noqa: SIM905 -- words read better than a column of strings
 )
 REDUCTIONS = {

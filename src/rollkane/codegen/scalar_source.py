@@ -17,6 +17,14 @@ from .jaxpr_types import Params, Shaped
 from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
 from .stage_text import Signature, Statement, function_source, names_in
+from .whole_numbers import (
+    are_whole,
+    in_range,
+    of_real,
+    type_of,
+    whole_expression,
+    whole_literal,
+)
 
 # how XLA's operations are written: between two numbers, or as functions of rows.h;
 # the ending of their names says whether of a row
@@ -42,18 +50,10 @@ _OF_SEVERAL = {
     "lt_to": "({0} < {1}) | (({0} == {0}) & ({1} != {1}))",
     "le_to": "({0} <= {1}) | ({1} != {1})",
     "not": "not{end}({0})",
-    "select_n": "choose{end}({0}, {2}, {1})",
-    "select_n_truth": "({0} & {2}) | (not{end}({0}) & {1})",
     "clamp": "max{end}({0}, min{end}({1}, {2}))",
 }
 # half a number away from zero, or to the even one, by XLA's number of the way
 ROUNDED = {0: "round", 1: "rint"}
-# of whole numbers up to 2^53 (2^24 in single precision) a real one is exact
-_OF_WHOLE = frozenset(
-    """
-    abs add clamp convert_element_type div max min mul neg rem select_n sign sub
-    """.split()  # noqa: SIM905 -- words read better than a column of strings
-)
 _PLACE = re.compile(r"shared\[(\d+)\]")  # of a number that lies in memory
 
 
@@ -65,7 +65,8 @@ class Symbol(NamedTuple):
         row: Whether every lane has its own.
         truth: Whether it is true or false.
         fixed: Whether it is the same at all stages.
-        whole: Whether it is a whole number; C keeps it as a real one.
+        whole: Whether it is a whole number; none is the same at all stages, as real
+            numbers are what a call hands to them.
     """
 
     text: str
@@ -77,6 +78,8 @@ class Symbol(NamedTuple):
     @property
     def kind(self) -> str:
         """Its type in C."""
+        if self.whole:
+            return "whole_row" if self.row else "int64_t"
         if self.row:
             return "mask" if self.truth else "row"
         return "int" if self.truth else "real"
@@ -105,14 +108,10 @@ class Statements:
         truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
         if name == "lookup":
             return self._looked_up(*operands)
-        if whole and name not in _OF_WHOLE:
-            raise NotElementwiseError(f"{name} of whole numbers")
         known = [x for x in operands if isinstance(x, Symbol)]
         row = any(x.row for x in known)
-        fixed = all(x.fixed for x in known)
-        text = _expression(name, params, operands, row)
-        if whole and name == "div":  # towards zero: below 2^53 no rounding gets there
-            text = f"trunc{'_row' if row else '_one'}({text})"
+        fixed = all(x.fixed for x in known) and not whole
+        text = _expression(name, params, operands, row, dtype)
         return self._symbol(text, Symbol("", row, truth, fixed, whole))
 
     def _symbol(self, text: str, like: Symbol) -> Symbol:
@@ -135,7 +134,8 @@ class Statements:
         else:
             table, stride = _in_memory(numbers)
         ending = "_row" if index.row else "_one"
-        text = f"lookup{ending}({table}, {stride}, {len(numbers)}, {index.text})"
+        at = _real(index, index.row)
+        text = f"lookup{ending}({table}, {stride}, {len(numbers)}, {at})"
         return self._symbol(text, Symbol("", index.row, fixed=index.fixed))
 
 
@@ -158,14 +158,20 @@ def _place(text: str) -> int | None:
     return None if found is None else int(found[1])
 
 
-def _expression(name: str, params: Params, operands: list[Any], row: bool) -> str:
+def _expression(
+    name: str, params: Params, operands: list[Any], row: bool, dtype: np.dtype
+) -> str:
     ending = "_row" if row else "_one"
+    if name == "convert_element_type":
+        return _converted(operands[0], dtype, row)
+    texts = [_written(x, row) for x in operands]
+    if name == "select_n":
+        return _chosen(texts, operands[1:], ending)
+    if are_whole(operands):
+        return whole_expression(name, texts, dtype, ending)
     if name in ARITHMETIC or name in COMPARED:
         a, b = (_written(x, row and not isinstance(x, Symbol)) for x in operands)
         return f"{a} {(ARITHMETIC | COMPARED)[name]} {b}"
-    if name == "convert_element_type":
-        return _converted(operands[0], params["new_dtype"], row)
-    texts = [_written(x, row) for x in operands]
     if name in _LOGICAL:
         return f" {_LOGICAL[name]} ".join(texts)
     if name in FORMULAS:
@@ -173,42 +179,65 @@ def _expression(name: str, params: Params, operands: list[Any], row: bool) -> st
     if name == "round":
         return f"{ROUNDED[int(params['rounding_method'])]}{ending}({texts[0]})"
     if name in _OF_SEVERAL:
-        name += "_truth" if name == "select_n" and _is_truth(operands[1]) else ""
         return _OF_SEVERAL[name].format(*texts, end=ending)
     if name in FUNCTIONS:
         return f"{name}{ending}({', '.join(texts)})"
     raise NotElementwiseError(name)
 
 
-def _is_truth(x: Any) -> bool:
-    return x.truth if isinstance(x, Symbol) else isinstance(x, TRUTH)
+def _chosen(texts: list[str], options: list[Any], ending: str) -> str:
+    """One of two numbers."""
+    which, first, second = texts
+    x = options[0]
+    if x.truth if isinstance(x, Symbol) else isinstance(x, TRUTH):
+        return f"({which} & {second}) | (not{ending}({which}) & {first})"
+    kind = "_whole" if are_whole(options) else ""
+    return f"choose{kind}{ending}({which}, {second}, {first})"
 
 
-def _converted(x: Symbol, dtype: Any, row: bool) -> str:
+def _converted(x: Symbol, dtype: np.dtype, row: bool) -> str:
+    ending = "_row" if row else "_one"
+    kind = type_of(dtype)
+    if kind == "real":  # of a real one: a program has one precision
+        return _real(x, row)
+    if kind == "truth":
+        return (
+            f"ne_whole{ending}({x.text}, {_written(np.int64(0), row)})"
+            if x.whole
+            else f"{x.text} != (real)0"
+        )
+    if x.truth:
+        return f"whole_of_mask({x.text})" if row else f"(int64_t){x.text}"
+    by_type = in_range if x.whole else of_real
+    return by_type(x.text, dtype, ending)
+
+
+def _real(x: Symbol, row: bool) -> str:
+    """A number as a real one."""
     if x.truth:
         one, zero = (_written(np.float64(value), row) for value in (1.0, 0.0))
         return f"choose{'_row' if row else '_one'}({x.text}, {one}, {zero})"
-    if dtype == np.bool_:
-        return f"{x.text} != (real)0"
-    if np.issubdtype(dtype, np.integer) and not x.whole:
-        return f"trunc{'_row' if row else '_one'}({x.text})"
-    # real to real: a program has one precision
+    if x.whole:
+        return f"real_of_whole_row({x.text})" if row else f"(real){x.text}"
     return x.text
 
 
 def _written(x: Any, as_row: bool) -> str:
     """A symbol or a known number; as a row where it has to be one."""
     if isinstance(x, Symbol):
-        text, spread, truth = x.text, as_row and not x.row, x.truth
+        text, spread, truth, whole = x.text, as_row and not x.row, x.truth, x.whole
     elif isinstance(x, TRUTH):
-        text, spread, truth = str(int(x)), as_row, True
-    elif isinstance(x, (REAL, WHOLE)):
-        text, spread, truth = literal(float(x)), as_row, False
+        text, spread, truth, whole = str(int(x)), as_row, True, False
+    elif isinstance(x, WHOLE):
+        text, spread, truth, whole = whole_literal(x), as_row, False, True
+    elif isinstance(x, REAL):
+        text, spread, truth, whole = literal(float(x)), as_row, False, False
     else:
         raise NotElementwiseError(f"a number of {type(x)}")
     if not spread:
         return text
-    return f"mask_of({text})" if truth else f"splat({text})"
+    name = "mask_of" if truth else "splat_whole" if whole else "splat"
+    return f"{name}({text})"
 
 
 def literal(value: float) -> str:

@@ -18,9 +18,10 @@ from .scalar_source import (
     ROUNDED,
     literal,
 )
+from .whole_numbers import in_range, of_real, type_of, whole_expression, whole_literal
 
 # type in C of real numbers, whole ones and truth values
-IN_C = {"real": "real", "whole": "long", "truth": "int"}
+IN_C = {"real": "real", "whole": "int64_t", "truth": "int"}
 
 _BETWEEN = ARITHMETIC | COMPARED | {"and": "&", "or": "|", "xor": "^"}
 _OF_SEVERAL = {
@@ -30,19 +31,7 @@ _OF_SEVERAL = {
     "nextafter": "C(nextafter)({0}, {1})",
     "select_n": "{0} ? {2} : {1}",
     "clamp": "max_one({0}, min_one({1}, {2}))",
-}
-_OF_TRUTH = {"not": "!{0}"}
-_OF_WHOLE = {
-    "clamp": "{1} < {0} ? {0} : {1} > {2} ? {2} : {1}",
-    "div": "div_whole({0}, {1})",
-    "rem": "rem_whole({0}, {1})",
-    "abs": "({0} < 0 ? -{0} : {0})",
-    "sign": "({0} > 0) - ({0} < 0)",
-    "max": "({0} > {1} ? {0} : {1})",
-    "min": "({0} < {1} ? {0} : {1})",
-    "not": "~{0}",
-    "shift_left": "{0} << {1}",
-    "shift_right_arithmetic": "{0} >> {1}",
+    "not": "!{0}",  # of a truth value
 }
 
 
@@ -58,11 +47,6 @@ class Number(NamedTuple):
     type: str
 
 
-def type_of(dtype: np.dtype) -> str:
-    """Of the numbers of an array."""
-    return {"b": "truth", "i": "whole", "u": "whole"}.get(dtype.kind, "real")
-
-
 def in_c(x: Any) -> Number:
     """A number, known or not."""
     if isinstance(x, Number):
@@ -70,9 +54,7 @@ def in_c(x: Any) -> Number:
     if isinstance(x, (bool, TRUTH)):
         return Number(str(int(x)), "truth")
     if isinstance(x, WHOLE):
-        # C has no negative literals: the least number would be none of its type
-        least = int(x) == -(2**63)
-        return Number(f"({int(x) + 1}L - 1)" if least else f"{int(x)}L", "whole")
+        return Number(whole_literal(x), "whole")
     if isinstance(x, REAL):
         return Number(literal(float(x)), "real")
     raise NotElementwiseError(f"a number of {type(x)}")
@@ -88,10 +70,9 @@ def expression(name: str, params: Params, operands: list[Any], dtype: np.dtype) 
     texts = [x.text for x in given]
     kind = given[-1].type
     if name == "convert_element_type":
-        return _converted(given[0], type_of(params["new_dtype"]))
-    own = {"whole": _OF_WHOLE, "truth": _OF_TRUTH}.get(kind, {})
-    if name in own:
-        return own[name].format(*texts)
+        return _converted(given[0], np.dtype(params["new_dtype"]))
+    if kind == "whole" and name != "select_n":
+        return whole_expression(name, texts, dtype, "_one")
     if name == "select_n" and len(texts) != 3:
         raise NotElementwiseError("a choice among many")
     if name in _BETWEEN:
@@ -107,11 +88,12 @@ def expression(name: str, params: Params, operands: list[Any], dtype: np.dtype) 
     raise NotElementwiseError(f"{name} of {kind} numbers")
 
 
-def _converted(x: Number, kind: str) -> str:
-    if kind == x.type:
-        return x.text
+def _converted(x: Number, dtype: np.dtype) -> str:
+    kind = type_of(dtype)
     if kind == "truth":
         return f"{x.text} != 0"
     if kind == "whole" and x.type == "real":
-        return f"whole_of({x.text})"
-    return f"({IN_C[kind]}){x.text}"
+        return of_real(x.text, dtype, "_one")
+    if kind == "whole":
+        return in_range(x.text, dtype, "_one")
+    return x.text if x.type == "real" else f"({IN_C[kind]}){x.text}"

@@ -20,9 +20,10 @@ from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Aval, Jaxpr
 from .memory_walk import SMALL, Value
 from .scalar_program import NotElementwiseError
-from .scalars import in_c, type_of
+from .scalars import in_c
 from .statement_writer import Writer, part
 from .tracing import becoming_c, not_collecting
+from .whole_numbers import type_of
 
 # Lines that are worth a compiler of their own, and beyond which it takes less care: at
 # -O1 14,000 lines take 1.1 s on two cores, at -O2 1.5 to 2.3; a plate's 10,000, or a
@@ -208,7 +209,8 @@ def _given(
 
 def _read_as(kind: str) -> Callable[[str], str]:
     """How a number of a type is read."""
-    return {"real": "{}", "whole": "whole_of({})", "truth": "({} != 0)"}[kind].format
+    whole = "whole_of_one({}, 64, 1)"
+    return {"real": "{}", "whole": whole, "truth": "({} != 0)"}[kind].format
 
 
 def _homes(results: Sequence[Aval]) -> list[Memory | None]:
