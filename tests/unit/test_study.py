@@ -14,9 +14,9 @@ from rollkane.dynamics.ready_observables import position
 from rollkane.uncertainty.draws import Draws
 from rollkane.uncertainty.fingerprint import fingerprint
 from rollkane.uncertainty.made_members import MadeMembers
-from rollkane.uncertainty.program_digest import digest_of_program
 from rollkane.uncertainty.store import differences
 from rollkane.uncertainty.unit_runs import UnitRuns
+from rollkane.validation.program_digest import digest_of_program
 from tests import small_studies as small
 from tests.quick import slow_but
 

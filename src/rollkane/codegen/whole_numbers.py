@@ -1,7 +1,7 @@
 """Operations on whole numbers in C, as XLA has them: they wrap, and are never trapped.
 
 A whole number has 64 bits in C, one or one for each lane (``rows.h``); behind what may
-lead out of its own type it is brought back into it.
+lead out of its own type it is wrapped to that type.
 """
 
 from typing import Any
@@ -63,7 +63,7 @@ def whole_expression(name: str, texts: list[str], dtype: np.dtype, ending: str) 
 
 
 def in_range(text: str, dtype: np.dtype, ending: str) -> str:
-    """A whole number brought into the range of its type, by its last bits."""
+    """A whole number wrapped to its type, by its last bits."""
     return text if dtype.itemsize == 8 else f"{dtype.name}_of{ending}({text})"
 
 

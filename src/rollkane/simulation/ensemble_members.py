@@ -16,6 +16,7 @@ from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
+from ..validation.program_digest import digest_of_traced
 
 # For each leaf of a tree: 0 where members differ, else None.
 _Axes: TypeAlias = list[int | None]
@@ -29,8 +30,8 @@ class Members(NamedTuple):
 
     Attributes:
         size: How many.
-        scene: Scene, of which leaves may have an axis of members in front; or a
-            function of a member's number.
+        scene: Scene, of which leaves may have an axis of members in front; or what
+            a function makes of a member's number.
         starts: State, likewise.
         scene_axes: For each leaf of one scene: 0 where members differ, else None.
         start_axes: For each leaf of one state, likewise.
@@ -84,7 +85,7 @@ class Members(NamedTuple):
 
     def given_scene(self, modes: Modes | None) -> Scene | None:
         """The scene of all members as it was given; None where it is made."""
-        if _is_made(self.scene):
+        if isinstance(self.scene, _Made):
             return None
         return self.scene if modes is None else HybridScene(self.scene, modes)
 
@@ -113,7 +114,7 @@ def members_of(
     sizes = _sizes(scene, scene_found) | _sizes(starts, start_found)
     if count is not None:
         sizes.add(whole("ensemble.count", count, 1, "give one"))
-    if scene_axes is None and not _is_made(scene):
+    if scene_axes is None and not isinstance(scene, _Made):
         _refuse_unclear(scene, scene_found, sizes)
     remedy = "give every batched number the same first axis, one entry for each member"
     if len(sizes) > 1:
@@ -135,7 +136,13 @@ def members_of(
 
 
 def _stacked(name: str, whole: Any, kind: type) -> Any:
-    """A list of scenes or states as one, with an axis of members in front."""
+    """A list of scenes or states as one, with an axis of members in front.
+
+    A function of a member's number as what it makes, found out anew in each call: what
+    it looks at may have changed.
+    """
+    if callable(whole) and not isinstance(whole, (Scene, State)):
+        return _made(whole)
     if not isinstance(whole, list | tuple):
         return whole
     each, field = cast("Sequence[Any]", whole), f"ensemble.{name}"
@@ -190,8 +197,8 @@ def by_axis(
 
 
 def _block(whole: Any, axes: _Axes, first: int, last: int) -> Any:
-    if _is_made(whole):
-        return _made(whole).block(first, last)
+    if isinstance(whole, _Made):
+        return whole.block(first, last)
     some = slice(first, last)
     part: OfLeaf = lambda axis, x: x if axis is None else _at(x, some)
     return by_axis(part, axes, whole)
@@ -204,12 +211,9 @@ def _at(x: Any, place: Any) -> Any:
     return np.asarray(np.asarray(x)[place])
 
 
-def _is_made(whole: Any) -> bool:
-    return callable(whole) and not isinstance(whole, (Scene, State))
-
-
 def _structure(whole: Any) -> Any:
-    return cast(Any, jax.tree.structure(_made(whole).one if _is_made(whole) else whole))
+    one = whole.one if isinstance(whole, _Made) else whole
+    return cast(Any, jax.tree.structure(one))
 
 
 class _Made(NamedTuple):
@@ -225,11 +229,37 @@ class _Made(NamedTuple):
         return jax.tree.unflatten(cast(Any, jax.tree.structure(self.one)), numbers)
 
 
-@functools.lru_cache(maxsize=16)  # every block asks for it
+class _Traced:
+    """A traced function of a member's number, the same as another by what it does."""
+
+    def __init__(self, function: Callable[..., Any]):
+        """Trace it."""
+        number = jax.ShapeDtypeStruct((), jnp.int_)
+        anew: Callable[[Array], Any] = lambda i: function(i)  # JAX remembers functions
+        self.program, self.one = jax.make_jaxpr(anew, return_shape=True)(number)
+        structure = cast(Any, jax.tree.structure(self.one))
+        self._key = digest_of_traced(self.program), structure
+        self._known = not is_traced(*self.program.consts)
+
+    def __hash__(self) -> int:
+        """Of its program."""
+        return hash(self._key[0])
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it makes the same; traced numbers are never the same."""
+        if self is other or not isinstance(other, _Traced):
+            return self is other
+        return self._known and other._known and self._key == other._key
+
+
 def _made(function: Callable[..., Any]) -> _Made:
-    """Traced once: what does not depend on the member's number is shared by all."""
-    number = jax.ShapeDtypeStruct((), jnp.int_)
-    program, one = jax.make_jaxpr(function, return_shape=True)(number)
+    """What does not depend on the member's number is shared by all."""
+    return _compiled(_Traced(function))
+
+
+@functools.lru_cache(maxsize=16)
+def _compiled(traced: _Traced) -> _Made:
+    program = traced.program
     own = set(program.jaxpr.invars)
     depends: Callable[[Any], bool] = lambda x: not isinstance(x, Literal) and x in own
     for equation in program.jaxpr.eqns:
@@ -237,11 +267,11 @@ def _made(function: Callable[..., Any]) -> _Made:
             own.update(equation.outvars)
     axes = tuple(0 if depends(x) else None for x in program.jaxpr.outvars)
     again = cast("Callable[[Array], list[Array]]", jaxpr_as_fun(program))
-    return _Made(one, axes, jax.jit(jax.vmap(again, out_axes=list(axes))))
+    return _Made(traced.one, axes, jax.jit(jax.vmap(again, out_axes=list(axes))))
 
 
 def _sizes(whole: Any, axes: _Axes) -> set[int]:
-    if _is_made(whole):
+    if isinstance(whole, _Made):
         return set()
     leaves = zip(jax.tree.leaves(whole), axes, strict=True)
     return {x.shape[0] for x, axis in leaves if axis is not None}
@@ -249,10 +279,9 @@ def _sizes(whole: Any, axes: _Axes) -> set[int]:
 
 def _axes_of(name: str, whole: Any, kind: type, given: Any) -> list[int | None]:
     field = f"ensemble.{name}"
-    if _is_made(whole):
-        made = _made(whole)
-        _check_kind(field, made.one, kind)
-        return list(made.axes)
+    if isinstance(whole, _Made):
+        _check_kind(field, whole.one, kind)
+        return list(whole.axes)
     _check_kind(field, whole, kind)
     if given is not None:
         return _spread(field, given, whole)

@@ -10,8 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
+from ..validation.program_digest import (
+    bytes_of_array,
+    digest_of_bytes,
+    digest_of_program,
+)
 from .moded_views import rates_of, state_at, value_of
-from .program_digest import bytes_of_array, digest_of_bytes, digest_of_program
 from .study import Observable, Study
 
 

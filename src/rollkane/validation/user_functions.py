@@ -1,6 +1,7 @@
 """Functions that a user writes, as values that JAX can carry.
 
-A plain function becomes static structure (a new lambda means a new compilation); a
+A plain function becomes static structure (a new lambda means a new compilation), with
+a digest of its program: what it looks at may have changed since it was last given. A
 callable that holds arrays, such as an ``equinox`` module, stays a tree of arrays and
 is differentiated like any other part of a scene.
 """
@@ -18,6 +19,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from .checks import FieldError, is_traced
+from .program_digest import digest_of_traced
 
 # a program, the structure of its results and of what is not an array among them
 _Trace = Callable[..., tuple[ClosedJaxpr, Any, Any]]
@@ -33,6 +35,7 @@ class UserFunction(eqx.Module):
     _arrays: Any
     parameters: Any
     _fixed: Any = eqx.field(static=True)
+    _digest: str = eqx.field(static=True)
     _spread: bool = eqx.field(static=True)
     _takes_parameters: bool = eqx.field(static=True)
 
@@ -83,28 +86,34 @@ class UserFunction(eqx.Module):
                 f"shape ({count},))" + (" and then the parameters" if takes else ""),
             )
         self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
-        closed = self._closed_over(count)
-        if closed is not None:
+        self._digest = ""
+        program = self._traced(count)
+        if program is None:
+            return
+        self._digest = digest_of_traced(program)
+        if is_traced(*program.consts):
+            closed = self._closed_over(count)
             self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
             self._spread, self._takes_parameters, self.parameters = False, False, None
 
-    def _closed_over(self, count: int) -> Callable[[Array], Array] | None:
-        """The function with the traced values that it closes over made explicit.
-
-        A closure such as ``lambda x, y: a * x**2`` with a traced ``a`` would hide
-        ``a`` from differentiation.
-        """
+    def _traced(self, count: int) -> ClosedJaxpr | None:
+        """Its program; None where it has none, for a reason that check_output says."""
         # what it holds itself is no closure
         held, fixed = cast("tuple[Any, Any]", eqx.partition(self, eqx.is_array))
         value: Callable[[Any, Array], Array] = lambda held, u: eqx.combine(held, fixed)(
             u
         )
         try:
-            constants = jax.make_jaxpr(value)(held, numbers_of((count,))).consts
+            return jax.make_jaxpr(value)(held, numbers_of((count,)))
         except Exception:
-            return None  # said by check_output, with the reason
-        if not is_traced(*constants):
             return None
+
+    def _closed_over(self, count: int) -> Callable[[Array], Array]:
+        """The function with the traced values that it closes over made explicit.
+
+        A closure such as ``lambda x, y: a * x**2`` with a traced ``a`` would hide
+        ``a`` from differentiation.
+        """
         function = eqx.combine(self._arrays, self._fixed)
         form = self._spread, self._takes_parameters, self.parameters
         call: Callable[[Array], Array] = lambda u: _call(function, *form, u)
@@ -145,6 +154,7 @@ class GivenFunction(eqx.Module):
 
     _arrays: Any
     _fixed: Any = eqx.field(static=True)
+    _digest: str = eqx.field(static=True)
     _takes_more: bool = eqx.field(static=True)
 
     def __init__(
@@ -196,6 +206,7 @@ class GivenFunction(eqx.Module):
             raise FieldError(field, function, problem, remedy) from error
         if shape is not None and getattr(value, "shape", None) != shape:
             raise FieldError(field, function, f"returns {_form(value)}", remedy)
+        self._digest = digest_of_traced(program)
         if is_traced(*program.consts):
             # a closure would hide a traced number from differentiation
             closed = functools.partial(call, function)

@@ -10,6 +10,8 @@ import jax.extend as jex
 import jax.numpy as jnp
 import numpy as np
 
+from .checks import is_traced
+
 # where an object lies in memory says nothing of what it is
 _ADDRESS = re.compile(r" at 0x[0-9a-f]+")
 # of an equation, what is for people only
@@ -27,7 +29,12 @@ def digest_of_program(function: Callable[..., Any], *arguments: Any) -> str:
         function: That JAX can trace.
         arguments: Arrays of the shapes and types for which it is traced.
     """
-    return _Walk().closed(jax.make_jaxpr(function)(*arguments))
+    return digest_of_traced(jax.make_jaxpr(function)(*arguments))
+
+
+def digest_of_traced(program: jex.core.ClosedJaxpr) -> str:
+    """The same of a program that JAX made; traced numbers count by shape and type."""
+    return _Walk().closed(program)
 
 
 def digest_of_bytes(parts: Iterable[bytes]) -> str:
@@ -39,7 +46,9 @@ def digest_of_bytes(parts: Iterable[bytes]) -> str:
 
 
 def bytes_of_array(number: Any) -> bytes:
-    """Type, shape and numbers of an array."""
+    """Type, shape and numbers of an array; of a traced one no numbers."""
+    if is_traced(number):
+        return f"{number.dtype}{number.shape}".encode()
     keys = isinstance(number, jax.Array) and jnp.issubdtype(
         number.dtype, jax.dtypes.prng_key
     )
