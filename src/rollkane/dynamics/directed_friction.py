@@ -55,7 +55,7 @@ class DirectedFriction(AbstractFriction):
         turns: Whether it is asked how fast it turns.
     """
 
-    coefficient: Array
+    coefficient: Float[Array, ""]
     direction: Float[Array, "3"]
     lifts: bool = eqx.field(static=True)
     follows: bool = eqx.field(static=True, default=False)

@@ -129,7 +129,7 @@ class Force(AbstractLoad):
         parameters: Numbers that the function depends on.
     """
 
-    force: Any
+    force: Float[Array, "3"] | GivenFunction
     point: Float[Array, "3"]
     parameters: Any
 
@@ -173,7 +173,7 @@ class Torque(AbstractLoad):
         parameters: Numbers that the function depends on.
     """
 
-    torque: Any
+    torque: Float[Array, "3"] | GivenFunction
     parameters: Any
 
     def __init__(self, torque: Vector | Callable[..., Any], parameters: Any = None):

@@ -108,6 +108,8 @@ def members_of(
     if isinstance(starts, Scene) and not isinstance(scene, Scene):
         remedy = "scene and starts are swapped: call ensemble(scene, starts, times)"
         raise FieldError("ensemble.scene", scene, "must be a Scene", remedy)
+    if isinstance(scene, list | tuple) and scene_axes is None:
+        scene_axes = 0  # as they are put together here
     scene, starts = _stacked("scene", scene, Scene), _stacked("starts", starts, State)
     scene_found = _axes_of("scene", scene, Scene, scene_axes)
     start_found = _axes_of("starts", starts, State, None)
@@ -176,8 +178,9 @@ def _refuse_unclear(scene: Scene, axes: _Axes, sizes: set[int]) -> None:
                 "ensemble.scene" + jax.tree_util.keystr(path),
                 leaf.shape,
                 "may be one value of each member, or one array that all share",
-                "say it by scene_axes=, as in_axes of jax.vmap: 0, None, or a Scene "
-                "of them",
+                "say it by scene_axes=, as in_axes of jax.vmap: 0 where every number "
+                "of the scene has the axis, as jax.vmap makes it; else a Scene of 0 "
+                "and None",
             )
 
 
