@@ -87,6 +87,16 @@ def test_a_run_is_that_of_the_file_with_other_numbers(ball, live):
     assert run.method == "native"
 
 
+def test_an_event_of_the_file_ends_the_run(tmp_path):
+    """The page shows what simulate gives: here the ball's axis has tilted by 0.5."""
+    path = tmp_path / "tilting.toml"
+    path.write_text(BALL + '[[events]]\nof = "tilt"\nlevel = 0.5\nstop = true\n')
+    run = LiveRun(path).run({})
+    assert run.code == rk.Code.STOPPED
+    found = run.events["tilt"]
+    assert float(found.times[0]) == float(run.final_time)
+
+
 def test_another_number_compiles_nothing(live):
     live.data({"body.mass": 1.0}, shapes=False)
     compiled = []

@@ -112,6 +112,25 @@ contact_on_base = [0.0, 0.0, 0.0]
 duration = 2.0
 """
 
+GRAPH = """
+[base.surface]
+kind = "graph"
+f = "0.3 * x * x"
+[start]"""
+
+
+def test_a_second_contact_is_not_looked_for(tmp_path):
+    """Refused, where one is possible; a ball on a plane has none."""
+    text = 'scene = "mine.toml"\nobserve = ["spin"]\n' + VARY
+    study = written(tmp_path, text)
+    looking = BALL + "second_contact = true\n"
+    (tmp_path / "mine.toml").write_text(looking)
+    assert load_study(study).size is None
+    (tmp_path / "mine.toml").write_text(looking.replace("[start]", GRAPH))
+    with pytest.raises(SceneFileError, match="for which a study does not look"):
+        load_study(study)
+
+
 WRONG = {
     "no scene": (("scene = ", "sene = "), ("sene", "did you mean scene?")),
     "another scene": (('"rattleback"', '"ratleback"'), ("scene:", "cannot be used")),

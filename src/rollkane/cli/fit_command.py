@@ -119,7 +119,8 @@ def fit(
     r"""Find numbers of SCENE in DATA, a CSV or NetCDF file of samples.
 
     SCENE is a built-in scene or a TOML file; its values are the first guess, its start
-    holds at the first sample that is used.
+    holds at the first sample that is used. DATA says how long it runs: SCENE's events,
+    duration, outputs and second_contact are not used.
 
     \b
     rollkane fit rattleback run.csv --gyro wx,wy,wz --sigma gyro=0.02 \

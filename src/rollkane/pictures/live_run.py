@@ -96,7 +96,8 @@ class LiveRun:
         if len(self._parts) > _MOST_PARTS:
             self._parts.clear()
         file = load_scene(self.source, changes, self._parts)
-        how: dict[str, Any] = {"modes": file.modes, "method": file.method}
+        names = "modes", "method", "second_contact", "events"
+        how: dict[str, Any] = {name: getattr(file, name) for name in names}
         rtol = max(file.rtol or LEAST_RTOL, LEAST_RTOL)
         return simulate(file.scene, file.start, self._times, rtol=rtol, **how)
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..dynamics.clearance import may_touch_twice
 from ..dynamics.placement import place
 from ..dynamics.ready_observables import READY
 from ..dynamics.rolling import contact_of
@@ -130,10 +131,15 @@ class _Checked:
             return None
         beside = folder / given
         try:
-            return load_scene(beside if beside.is_file() else given)
+            file = load_scene(beside if beside.is_file() else given)
         except SceneFileError as error:
             self._report.add(("scene",), f"cannot be used: {error.problems[0]}", remedy)
             return None
+        if file.second_contact and may_touch_twice(file.scene):
+            problem = "has run.second_contact = true, for which a study does not look"
+            remedy = "leave it out there, or simulate single motions"
+            self._report.add(("scene",), problem, remedy)
+        return file
 
     def _vary(self) -> dict[str, Any]:
         tables: Any = self._document.get("vary")
