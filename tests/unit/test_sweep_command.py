@@ -100,7 +100,7 @@ def test_the_file_over_time_and_json_say_the_same(swept):
             ["--vary", "body.mass=1,2", "--vary", "body.mass=3,4"],
             "names body.mass twice",
         ),
-        (["--vary", "body.mass=1,-1"], "at body.mass = -1.0"),
+        (["--vary", "body.mass=1,-1"], "at body.mass = -1"),
         (["--vary", "body.mas=1,2"], "body.mas"),
         (["--vary", "body.mass=1,2", "--observe", "colour"], "colour"),
         (["--vary", "body.mass=1,2", "--out", "table.txt"], "ending .txt is not known"),
@@ -168,3 +168,121 @@ def test_ctrl_c_keeps_the_points_that_were_done(ball, monkeypatch):
     assert (done.exit_code, done.output) == (130, "stopped: 2 of 5 points were kept\n")
     outcomes = [row["outcome"] for row in table(out)]
     assert outcomes == ["completed"] * 2 + ["not run"] * 3
+
+
+EVENT = """
+[[events]]
+name = "low"
+of = "tilt"
+level = 0.5
+stop = true
+"""
+# a ball inside of a wavy base may touch it twice
+GRAPH = 'kind = "graph"\nf = "0.3 * x * x"'
+
+
+@pytest.fixture
+def tilting(tmp_path):
+    """The ball rolls about y at first: its z axis tilts by 0.5 on the way."""
+    path = tmp_path / "tilting.toml"
+    path.write_text(BALL + EVENT)
+    return path
+
+
+def swept_table(path, *options):
+    out = path.with_suffix(".csv")
+    done = rollkane_with("sweep", str(path), *options, "--out", str(out), "--force")
+    assert done.exit_code == 0, done.output
+    return table(out)
+
+
+def alone(path, changes):
+    """A point by itself, as simulate runs it."""
+    file = load_scene(path, changes)
+    how = {"rtol": file.rtol, "events": file.events}
+    return rk.simulate(file.scene, file.start, file.times, **how)
+
+
+def test_each_point_runs_for_its_own_time(ball):
+    """And at its own outputs: as many as are given, whole numbers where they are."""
+    options = "--vary=run.duration=0.5,1", "--vary=run.outputs=3:5:3"
+    rows = swept_table(ball, *options, "--observe", "position")
+    assert [float(row["final_time"]) for row in rows] == [0.5] * 3 + [1.0] * 3
+    for row in rows[1::3]:
+        changes = {"run.duration": row["run.duration"], "run.outputs": "4"}
+        x = np.asarray(alone(ball, changes).position)[:, 0]
+        told = [float(row[f"position_x_{of}"]) for of in ("last", "min", "max")]
+        # 1e-9 a step, some hundred steps, as above
+        np.testing.assert_allclose(told, [x[-1], x.min(), x.max()], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--vary=run.duration=1,2", "--out=a.nc"], "output times of their own"),
+        (["--vary=run.duration=1,2", "--duration=2"], "--duration sets for all"),
+        (["--vary=run.outputs=3,4.5"], "must be a whole number, got 4.5"),
+    ],
+)
+def test_times_that_differ_are_not_mixed_up(ball, monkeypatch, options, says):
+    """Refused before anything runs."""
+    monkeypatch.setattr(sweep_command, "_blocks", None)
+    monkeypatch.chdir(ball.parent)
+    done = rollkane_with("sweep", str(ball), *options)
+    assert done.exit_code == 2
+    assert says in " ".join(re.sub(r"[│\n]", " ", done.output).split())
+
+
+def test_an_event_ends_a_point_as_it_ends_a_run(tilting):
+    """Its own level for each; what is told last is where it ended."""
+    rows = swept_table(tilting, "--vary=events[0].level=0.3,0.5,9", "--observe=tilt")
+    for row in rows[:2]:
+        level = row["events[0].level"]
+        run = alone(tilting, {"events[0].level": level})
+        # the search goes to rounding; times differ by steps of 1e-9, as above
+        assert float(row["final_time"]) == pytest.approx(
+            float(run.final_time), abs=1e-7
+        )
+        assert float(row["tilt_last"]) == pytest.approx(float(level), abs=1e-7)
+        assert row["tilt_max"] == row["tilt_last"]
+        assert (row["outcome"], row["low_count"]) == ("stopped: low", "1.0")
+        assert row["low_time"] == row["final_time"]
+    assert rows[2]["outcome"] == "completed"
+    assert (rows[2]["low_count"], rows[2]["low_time"]) == ("0.0", "nan")
+
+
+def test_events_are_in_the_file_over_time(tilting):
+    import xarray
+
+    nc = tilting.with_suffix(".nc")
+    done = rollkane_with(
+        *("sweep", str(tilting), "--vary=body.mass=1,2", f"--out={nc}", "-q")
+    )
+    assert (done.exit_code, done.output) == (0, "")
+    with xarray.open_dataset(nc, engine="h5netcdf") as data:
+        assert data["low_count"].values.tolist() == [1.0, 1.0]
+        np.testing.assert_array_equal(data["low_time"], data["final_time"])
+
+
+def test_stopped_points_have_no_cross():
+    outcome = np.array(["completed", "stopped: low", "max steps", "not run"])
+    early = plot_sweep._early({"outcome": outcome})
+    assert early.tolist() == [False, False, True, True]
+
+
+def test_what_a_sweep_does_not_look_for_is_refused(tmp_path):
+    """Where a second contact is possible."""
+    path = tmp_path / "graph.toml"
+    text = BALL.replace('kind = "sphere"\nradius = 0.5', GRAPH)
+    text = text.replace("[0.0, 0.0, 0.5]", "[0.0, 0.0, 0.0]")
+    path.write_text(text + "second_contact = true\n")
+    done = rollkane_with("sweep", str(path), "--vary=body.mass=1,2")
+    assert done.exit_code == 2
+    assert "run.second_contact = true is not looked for" in done.output
+
+
+def test_an_event_that_would_hide_a_column_is_refused(tilting):
+    tilting.write_text(tilting.read_text().replace('"low"', '"final"'))
+    done = rollkane_with("sweep", str(tilting), "--vary=body.mass=1,2")
+    assert done.exit_code == 2
+    assert "give it another name" in " ".join(done.output.split())

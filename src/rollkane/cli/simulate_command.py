@@ -178,6 +178,7 @@ def how_to_run(
         "max_steps": max_steps,
         "modes": file.modes,
         "method": method or file.method,
+        "events": file.events,
     }
 
 

@@ -6,19 +6,22 @@ Everything heavy is imported inside the functions, as in the other commands.
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from .json_text import json_text
-from .option_values import quiet_option, verbose_option
+from .option_values import quiet_option, refuse, verbose_option
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import BAD_INPUT, STOPPED_EARLY, loaded, scene_argument, start_jax
 from .simulate_command import how_to_run, run_options, set_option, times_of
 from .sweep_points import Group, Point, Varied, groups_of, stacked, varied
 from .waiting import INTERRUPTED, waited
+
+if TYPE_CHECKING:  # it imports NumPy
+    from .sweep_result import Swept
 
 _BLOCK = 64  # members that Ctrl-C loses at most, for each processor
 _LEAST, _BLOCKS = 8, 16  # members of a block, as many as there are lanes; blocks
@@ -35,64 +38,6 @@ _UNITS = {
     "friction_ratio": "1",
     "outward": "1",
 }
-_AXES = {3: "xyz", 4: "wxyz"}
-_NOT_RUN = "not run"
-
-
-class Swept(NamedTuple):
-    """What a sweep found at N points.
-
-    Attributes:
-        over: What varied.
-        time: Output times [s], shape (T,).
-        observed: By name, shape (N, T, ...); NaN where not reached.
-        outcome: Why each motion ended, shape (N,); ``"not run"`` of those that Ctrl-C
-            left out.
-        final_time: [s], shape (N,).
-        loops: Which loops ran, and why.
-    """
-
-    over: Sequence[Varied]
-    time: Any
-    observed: dict[str, Any]
-    outcome: Any
-    final_time: Any
-    loops: list[str]
-
-    @property
-    def columns(self) -> dict[str, Any]:
-        """The table, shape (N,) each.
-
-        What varied, then of each observed number its last value, the least and the
-        greatest, and how the motion ended.
-        """
-        import warnings
-
-        import numpy as np
-
-        values = np.meshgrid(*(one.values for one in self.over), indexing="ij")
-        found: dict[str, Any] = {
-            one.path: x.ravel() for one, x in zip(self.over, values, strict=True)
-        }
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of those without any
-            for name, x in parts_of(self.observed).items():
-                found[f"{name}_last"] = x[:, -1]
-                found[f"{name}_min"] = np.nanmin(x, axis=1)
-                found[f"{name}_max"] = np.nanmax(x, axis=1)
-        return found | {"final_time": self.final_time, "outcome": self.outcome}
-
-
-def parts_of(observed: dict[str, Any]) -> dict[str, Any]:
-    """Numbers by name, shape (N, T): of a vector each component by its axis."""
-    found: dict[str, Any] = {}
-    for name, x in observed.items():
-        if x.ndim == 2:
-            found[name] = x
-            continue
-        for k, axis in enumerate(_AXES[x.shape[2]]):
-            found[f"{name}_{axis}"] = x[..., k]
-    return found
 
 
 @click.command()
@@ -143,13 +88,18 @@ def sweep(
         --observe spin --observe tilt --out table.csv --plot sweep.png
 
     Of what is observed the table has the last value, the least and the greatest at the
-    output times. Exit codes as of simulate; at Ctrl-C the points that were done are
+    output times; of each event of SCENE how often it happened, and when first [s]. Exit
+    codes as of simulate; at Ctrl-C the points that were done are
     kept, the others are "not run".
     """
     asked = {"out": out, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, force=force)
     ranges = varied(over)
+    for one in ranges:
+        name = one.path.removeprefix("run.")
+        if name != one.path and options.get(name) is not None:
+            refuse("--vary", f"varies {one.path}, which --{name} sets for all points")
     if plot is not None and len(ranges) > 2:
         problem = f"draws one or two numbers that vary, not {len(ranges)}; use --out"
         raise click.BadParameter(problem, param_hint="'--plot'")
@@ -159,8 +109,9 @@ def sweep(
     if isinstance(groups, Point):
         _refuse_point(groups, scene)
         ctx.exit(BAD_INPUT)
-    observe = tuple(dict.fromkeys(observe))
-    swept, interrupted = _swept(groups, ranges, observe, options, quiet or as_json)
+    swept, interrupted = _swept(
+        groups, ranges, _observing(observe), options, quiet or as_json, out
+    )
     _show(swept, file.title, as_json, quiet, verbose)
     with telling_of_files():
         for name, target in targets.items():
@@ -175,38 +126,74 @@ def _refuse_point(point: Point, scene: str) -> None:
     click.echo(f"{point.error}\nerror in {scene} at {told}", err=True)
 
 
-def _end(ctx: click.Context, swept: Swept, interrupted: bool) -> None:
+def _end(ctx: click.Context, swept: "Swept", interrupted: bool) -> None:
     """Say how many ended otherwise than they should, and exit."""
-    outcome = swept.outcome.tolist()
-    lost = outcome.count(_NOT_RUN)
+    count = len(swept.outcome)
     if interrupted:
-        done = len(outcome) - lost
-        click.echo(f"stopped: {done} of {len(outcome)} points were kept", err=True)
+        done = count - swept.not_run
+        click.echo(f"stopped: {done} of {count} points were kept", err=True)
         ctx.exit(INTERRUPTED)
-    early = len(outcome) - outcome.count("completed")
+    early = count - int(swept.ended.sum())
     if early:
-        told = f"error: {early} of {len(outcome)} motions ended early: see outcome"
+        told = f"error: {early} of {count} motions ended early: see outcome"
         click.echo(told, err=True)
         ctx.exit(STOPPED_EARLY)
+
+
+def _observing(names: tuple[str, ...]) -> Any:
+    """One function for all points: what it is compiled to is known by it."""
+    from ..dynamics.ready_observables import READY
+
+    def observed(scene: Any, t: Any, state: Any) -> dict[str, Any]:
+        return {name: READY[name](scene, t, state) for name in dict.fromkeys(names)}
+
+    return observed
+
+
+def _refuse_untold(groups: list[Group], times: list[Any], out: str | None) -> None:
+    """What a sweep cannot look for, or its files cannot tell."""
+    import numpy as np
+
+    from ..dynamics.clearance import may_touch_twice
+    from ..files.file_endings import TABLES, ending
+
+    for group in groups:
+        file = group.files[0]
+        if file.second_contact and may_touch_twice(file.scene):
+            problem = "run.second_contact = true is not looked for by a sweep"
+            remedy = "set it to false (--set run.second_contact=false), or simulate"
+            raise click.UsageError(f"{problem}: {remedy} each point")
+        if any(event.name == "final" for event in file.events):
+            problem = "an event is called 'final', and final_time is the motion's end"
+            raise click.UsageError(f"{problem}: give it another name")
+    one_axis = all(np.array_equal(times[0], own) for own in times)
+    if not one_axis and out is not None and ending(Path(out)) not in TABLES:
+        refuse("--out", f"{out}: points have output times of their own; write a .csv")
 
 
 def _swept(
     groups: list[Group],
     over: list[Varied],
-    observe: tuple[str, ...],
+    observe: Any,
     options: dict[str, Any],
     quiet: bool,
-) -> tuple[Swept, bool]:
+    out: str | None,
+) -> tuple["Swept", bool]:
     """The motions of all points, or of those that were done before Ctrl-C."""
-    from ..validation.checks import FieldError
+    import numpy as np
 
-    file, count = groups[0].files[0], sum(len(group.places) for group in groups)
-    times = times_of(file, options.pop("duration"), options.pop("outputs"))
+    from ..validation.checks import FieldError
+    from .sweep_result import joined
+
+    count = sum(len(group.places) for group in groups)
+    asked = options.pop("duration"), options.pop("outputs")
+    times = [times_of(group.files[0], *asked) for group in groups]
+    _refuse_untold(groups, times, out)
     done: list[tuple[Any, Any]] = []
 
     def work(watch: Any) -> None:
-        for group in groups:
-            for places, block in _blocks(group, times, observe, options):
+        for group, own in zip(groups, times, strict=True):
+            for places, block in _blocks(group, own, observe, options):
                 if watch.ends:  # what it has is half of it
                     return
                 done.append((places, block))
@@ -221,40 +208,18 @@ def _swept(
         raise click.UsageError(str(refused)) from refused
     if not done:
         raise KeyboardInterrupt
-    return _joined(over, times, count, done), interrupted
-
-
-def _joined(
-    over: list[Varied], times: Any, count: int, done: list[tuple[Any, Any]]
-) -> Swept:
-    """Blocks with the numbers of their points, as what the sweep found."""
-    import numpy as np
-
-    outcome = np.full(count, _NOT_RUN, dtype=object)
-    final_time = np.full(count, np.nan)
-    observed: dict[str, Any] = {}
-    loops: set[str] = set()
-    for places, block in done:
-        outcome[places], final_time[places] = block.outcomes, block.final_time
-        loops.add(f"{block.method}{': ' if block.why else ''}{block.why}")
-        for name, x in block.observed.items():
-            if name not in observed:
-                observed[name] = np.full((count, *x.shape[1:]), np.nan)
-            observed[name][places] = x
-    return Swept(over, times, observed, outcome, final_time, sorted(loops))
+    one_axis = all(np.array_equal(times[0], own) for own in times)
+    time = times[0] if one_axis else None
+    return joined(over, time, count, done, observe), interrupted
 
 
 def _blocks(
-    group: Group, times: Any, observe: tuple[str, ...], options: dict[str, Any]
+    group: Group, times: Any, observe: Any, options: dict[str, Any]
 ) -> Iterator[tuple[Any, Any]]:
     """Blocks of an ensemble, each with the numbers of its points."""
     import numpy as np
 
-    from ..dynamics.ready_observables import READY
     from ..simulation.ensembles import ensemble_blocks
-
-    def observed(scene: Any, t: Any, state: Any) -> dict[str, Any]:
-        return {name: READY[name](scene, t, state) for name in observe}
 
     scene, axes = stacked([file.scene for file in group.files])
     starts = [file.start for file in group.files]
@@ -262,11 +227,13 @@ def _blocks(
     fair = max(_LEAST, -(-len(places) // _BLOCKS))
     how = how_to_run(group.files[0], **options)
     how |= {"scene_axes": axes, "block": min(_BLOCK, fair, len(places))}
-    for block in ensemble_blocks(scene, starts, times, observe=observed, **how):
+    for block in ensemble_blocks(scene, starts, times, observe=observe, **how):
         yield places[block.members], block
 
 
-def _show(swept: Swept, title: str, as_json: bool, quiet: bool, verbose: bool) -> None:
+def _show(
+    swept: "Swept", title: str, as_json: bool, quiet: bool, verbose: bool
+) -> None:
     columns = swept.columns
     if as_json:
         click.echo(json_text({"title": title, "columns": columns}))
@@ -288,7 +255,7 @@ def _show(swept: Swept, title: str, as_json: bool, quiet: bool, verbose: bool) -
         click.echo(f"  loop {loop}")
 
 
-def _write(name: str, swept: Swept, target: Path, title: str) -> None:
+def _write(name: str, swept: "Swept", target: Path, title: str) -> None:
     from ..files.atomic_file import write_whole
     from ..files.file_endings import TABLES, ending
 
@@ -308,5 +275,5 @@ def _write(name: str, swept: Swept, target: Path, title: str) -> None:
         from ..files.sweep_table import write_sweep
 
         grids = [(one.path, one.values) for one in swept.over]
-        ends = {"final_time": swept.final_time, "outcome": swept.outcome}
+        ends = swept.events | swept.ends
         write_sweep(target, grids, swept.time, swept.observed, ends, _UNITS, title)

@@ -13,6 +13,7 @@ from .preparation import changes_of
 
 # each is loaded as a file of its own is, in about 3 ms
 MOST_POINTS = 100_000
+_EXACT = 2.0**53  # whole numbers below it are those that were written
 _Flat: TypeAlias = tuple[list[Any], Any]
 
 
@@ -115,7 +116,7 @@ def groups_of(
     found: dict[Any, Group] = {}
     parts: dict[Any, Any] = {}
     for place, point in enumerate(itertools.product(*(one.values for one in over))):
-        own = {one.path: repr(x) for one, x in zip(over, point, strict=True)}
+        own = {one.path: _text(x) for one, x in zip(over, point, strict=True)}
         try:
             file = load_scene(scene, shared | own, parts)
         except SceneFileError as error:
@@ -126,6 +127,11 @@ def groups_of(
     return list(found.values())
 
 
+def _text(x: float) -> str:
+    """As a user writes it: some fields take whole numbers alone, and all take them."""
+    return repr(int(x) if x.is_integer() and abs(x) < _EXACT else x)
+
+
 def _structure(file: Any) -> Any:
     """What scenes that can be members of one ensemble have in common."""
     import jax
@@ -134,9 +140,10 @@ def _structure(file: Any) -> Any:
     leaves, tree = cast(_Flat, jax.tree.flatten((file.scene, file.start)))
     shapes = tuple((np.shape(x), str(np.asarray(x).dtype)) for x in leaves)
     run = (file.rtol, file.atol, file.method, file.times.tobytes())
-    # modes are those of all members
-    own, kind = cast(_Flat, jax.tree.flatten(file.modes))
-    return (tree, shapes, run, kind, tuple(np.asarray(x).tobytes() for x in own))
+    # modes and events are those of all members
+    own, kind = cast(_Flat, jax.tree.flatten((file.modes, file.events)))
+    own = tuple(np.asarray(x).tobytes() for x in own)
+    return (tree, shapes, run, file.second_contact, kind, own)
 
 
 def stacked(scenes: Sequence[Any]) -> tuple[Any, Any]:

@@ -4,6 +4,7 @@ Needs matplotlib, which is imported inside the functions.
 """
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_PANELS = 6
-_COMPLETED = "completed"
+_AS_ASKED = re.compile("completed|stopped: .*")  # the latter by an event
 
 # paths of a scene file and their values
 Grids = Sequence[tuple[str, Sequence[float]]]
@@ -60,6 +61,11 @@ def plot_sweep(
     write_picture(path, figure)
 
 
+def _early(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Which motions ended otherwise than they should."""
+    return np.array([not _AS_ASKED.fullmatch(x) for x in columns["outcome"]])
+
+
 def _labelled(name: str, units: Mapping[str, str]) -> str:
     quantity = max((unit for unit in units if name.startswith(unit)), key=len)
     return f"{name.replace('_', ' ')} [{units[quantity]}]"
@@ -75,7 +81,7 @@ def _lines(
     x = np.asarray(values)
     figure = new_figure((7.5, 0.8 + 2.4 * len(names)))
     panels: Any = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    early = columns["outcome"] != _COMPLETED
+    early = _early(columns)
     for panel, name, label in zip(panels, names, labels, strict=True):
         three = [columns[f"{name}_{k}"] for k in ("last", "min", "max")]
         last, low, high = three
@@ -104,7 +110,7 @@ def _colours(
     figure = new_figure((1.0 + 5.2 * len(names), 4.4))
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     shape = len(ys), len(xs)
-    early = (columns["outcome"] != _COMPLETED).reshape(shape)
+    early = _early(columns).reshape(shape)
     rows, places = np.nonzero(early)
     for panel, name, label in zip(panels, names, labels, strict=True):
         last = np.asarray(columns[f"{name}_last"], float).reshape(shape)

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from ...dynamics.events import Event
 from ...dynamics.ready_observables import READY, SCALARS
@@ -19,10 +21,11 @@ class _Crossing(eqx.Module):
     """An observable less the level that is looked for."""
 
     of: Callable[..., Any] = eqx.field(static=True)
-    level: float = eqx.field(static=True)
+    level: Float[Array, ""]  # no part of the program: another compiles nothing
 
     def __call__(self, scene: Any, t: Any, state: Any) -> Any:
-        return self.of(scene, t, state) - self.level
+        value = self.of(scene, t, state)
+        return value - self.level.astype(value.dtype)
 
 
 def events_of(report: Report) -> tuple[Event, ...]:
@@ -63,7 +66,8 @@ def _event(where: Path, table: Any, report: Report) -> Event | None:
     try:
         if of == LIFT_OFF:
             return Event.lift_off(stop, name)
-        crossing = _Crossing(READY[of], float(given.get("level", 0.0)))
+        level = jnp.asarray(float(given.get("level", 0.0)))
+        crossing = _Crossing(READY[of], level)
         return Event(crossing, given.get("direction", 0), stop, name)
     except FieldError as error:
         field = error.field.rpartition(".")[2]
