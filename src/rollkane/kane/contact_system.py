@@ -365,16 +365,13 @@ def _forces(rolling: RollingSystem, t: Array, state: KaneState) -> ContactForces
     system = rolling.system
     equations = reduced(system, t, state)
     shared = cast(Shared, system.more(t, state.q, equations.u).shared)
-    u_dot = equations.T @ equations.u_dot + equations.bias
-    of_all = equations.of_all
-    lacking = of_all.mass_matrix @ u_dot - of_all.forcing
 
     def slips(u: Array) -> Array:
         now = system.more(t, state.q, u)
         return Slips(shared.base.constraints, None)(t, state.q, u, now)
 
     C = cast(Array, jax.jacfwd(slips)(jnp.zeros_like(equations.u)))
-    reaction = jnp.linalg.pinv(C.T, rtol=1e-9) @ lacking
+    reaction = jnp.linalg.pinv(C.T, rtol=1e-9) @ equations.lacking
     at = len(shared.base.dependent)
     force: list[Array] = []
     torque: list[Array] = []

@@ -130,9 +130,7 @@ def reactions(system: KaneSystem, t: ArrayLike, state: KaneState) -> Float[Array
         state: Coordinates and independent speeds.
     """
     now = reduced(system, as_time(t), state)
-    u_dot = now.T @ solved(now.mass_matrix, now.forcing) + now.bias
-    lacking = now.of_all.mass_matrix @ u_dot - now.of_all.forcing
-    return now.with_auxiliary.T @ lacking
+    return now.with_auxiliary.T @ now.lacking
 
 
 def kinetic_energy(
@@ -193,6 +191,12 @@ class Reduced(NamedTuple):
         if self.by_multipliers is not None:
             return self.by_multipliers
         return solved(self.mass_matrix, self.forcing)
+
+    @property
+    def lacking(self) -> Float[Array, " m"]:
+        """Generalized forces beside the active ones: of constraints, and reactions."""
+        u_dot = self.T @ self.u_dot + self.bias
+        return self.of_all.mass_matrix @ u_dot - self.of_all.forcing
 
 
 def reduced(system: KaneSystem, t: Array, state: KaneState) -> Reduced:

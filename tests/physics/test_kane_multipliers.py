@@ -1,0 +1,195 @@
+"""Constraints that act by multipliers: reactions and forces by Newton and by KKT."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane import kane
+from rollkane.geometry.rotations import quaternion_rates, rotation_matrix
+
+G = 9.81
+# a hundred roundings of some hundred operations on terms of order one to thirty
+EXACT = 1e-11
+
+
+@pytest.mark.parametrize("dependent", [(1,), None])
+def test_a_rod_holds_a_pendulum(dependent):
+    """In Cartesian coordinates: the rod's pull T = m (g cos a + L w^2), of which x."""
+    m, L, a, w = 2.0, 0.8, 0.5, 1.5
+    velocity = lambda t, q, u: [u[0] + u[2], 0.0, u[1]]
+    system = kane.KaneSystem(
+        2,
+        2,
+        lambda t, q, u: u[:2],
+        [kane.Particle(m, velocity)],
+        [kane.Load(velocity, lambda t, q, u: [0.0, 0.0, -m * G])],
+        constraints=lambda t, q, u: [q[0] * u[0] + q[1] * u[1]],
+        dependent=dependent,
+        auxiliary=1,
+    )
+    q, u = (
+        L * np.array([np.sin(a), -np.cos(a)]),
+        w * L * np.array([np.cos(a), np.sin(a)]),
+    )
+    speeds = jnp.asarray(u if dependent is None else u[:1])
+    found = kane.reactions(system, 0.0, kane.KaneState(jnp.asarray(q), speeds))
+    pull = m * (G * np.cos(a) + L * w * w)
+    np.testing.assert_allclose(found, [-pull * np.sin(a)], rtol=0, atol=EXACT)
+
+
+class Particles(NamedTuple):
+    """Particles with constraints, as functions of (t, q, u), auxiliary speeds last.
+
+    ``slopes`` of the constraints by the speeds, ``named`` by the auxiliary ones.
+    """
+
+    mass: Any
+    velocities: Any
+    forces: Any
+    q_dot: Any
+    constraints: Any
+    slopes: Any
+    named: Any
+
+
+def random_particles(seed, given):
+    """Three, whose places are functions of time and four coordinates.
+
+    Two constraints and two auxiliary speeds, which move the particles; ``given`` times
+    as much of them stands in the constraints.
+    """
+    rng = np.random.default_rng(seed)
+    mass = rng.uniform(0.5, 2.0, 3)
+    A, B = rng.standard_normal((3, 3, 4)), 0.4 * rng.standard_normal((3, 3, 4))
+    lifts, C0 = rng.standard_normal((3, 3, 2)), rng.standard_normal((2, 4))
+    named = given * rng.standard_normal((2, 2))
+    mixed = np.eye(4) + 0.2 * rng.standard_normal((4, 4))
+
+    def q_dot(t, q, u):
+        return mixed @ u[:4] + 0.2 * jnp.sin(q) * u[0]
+
+    def velocity(t, q, u, k):
+        place = lambda t, q: A[k] @ q + jnp.sin(B[k] @ q + t)
+        _, v = jax.jvp(place, (t, q), (jnp.ones_like(t), q_dot(t, q, u)))
+        return v + lifts[k] @ u[4:]
+
+    def force(t, q, u, k):
+        return mass[k] * jnp.stack([q[0] + jnp.sin(t), 0.3 * u[1], -G + 0.0 * t])
+
+    def slopes(t, q):
+        return C0 + 0.3 * jnp.sin(q[0] + t) * C0[:, ::-1]
+
+    def constraints(t, q, u):
+        return slopes(t, q) @ u[:4] + 0.4 * jnp.cos(q[:2] + 2.0 * t) + named @ u[4:]
+
+    each = lambda of: [lambda t, q, u, k=k: of(t, q, u, k) for k in range(3)]
+    functions = q_dot, constraints, slopes
+    return Particles(mass, each(velocity), each(force), *functions, named)
+
+
+def by_kkt(given, t, q, u):
+    """Rates of the speeds, and both reactions, by Newton's law of each particle."""
+    whole = jnp.concatenate([u, jnp.zeros(2)])
+
+    def along(function, u_dot):
+        rates = given.q_dot(t, q, whole), jnp.concatenate([u_dot, jnp.zeros(2)])
+        return jax.jvp(function, (t, q, whole), (jnp.ones_like(t), *rates))[1]
+
+    def lacking(u_dot):
+        """Of each speed's power, what the loads do not give."""
+        total = jnp.zeros(6)
+        for m, v, force in zip(given.mass, given.velocities, given.forces, strict=True):
+            J = jax.jacfwd(v, argnums=2)(t, q, whole)
+            total += J.T @ (m * along(v, u_dot) - force(t, q, whole))
+        return total
+
+    at_rest, C = lacking(jnp.zeros(4)), given.slopes(t, q)
+    M = jax.jacfwd(lacking)(jnp.zeros(4))[:4]
+    drift = along(given.constraints, jnp.zeros(4))
+    matrix = jnp.block([[M, -C.T], [C, jnp.zeros((2, 2))]])
+    found = jnp.linalg.solve(matrix, -jnp.concatenate([at_rest[:4], drift]))
+    return found[:4], lacking(found[:4])[4:] - given.named.T @ found[4:]
+
+
+@pytest.mark.parametrize(("seed", "given"), [(0, 0.0), (1, 1.0), (2, 1.0)])
+def test_random_systems_by_kkt(seed, given):
+    """Constraints that name the auxiliary speeds, and that do not."""
+    made = random_particles(seed, given)
+    loads = [
+        kane.Load(v, force)
+        for v, force in zip(made.velocities, made.forces, strict=True)
+    ]
+    parts = [
+        kane.Particle(m, v) for m, v in zip(made.mass, made.velocities, strict=True)
+    ]
+    system = kane.KaneSystem(
+        *(4, 4, made.q_dot, parts, loads),
+        constraints=made.constraints,
+        dependent=None,
+        auxiliary=2,
+    )
+    q, u = 0.6 * np.random.default_rng(seed + 10).standard_normal((2, 4))
+
+    @jax.jit
+    def both(t, q, u):
+        open_ = made.constraints(t, q, jnp.concatenate([u, jnp.zeros(2)]))
+        u = u - jnp.linalg.pinv(made.slopes(t, q)) @ open_
+        state = kane.KaneState(q, u)
+        rates = kane.kane_derivative(system, t, state)
+        found = rates.u, kane.reactions(system, t, state)
+        return found, by_kkt(made, t, q, u)
+
+    found, expected = both(jnp.asarray(0.37), jnp.asarray(q), jnp.asarray(u))
+    for one, other in zip(found, expected, strict=True):
+        # the condition of the matrices, below 1e3, times roundings
+        scale = np.abs(other).max()
+        np.testing.assert_allclose(one, other, rtol=0, atol=EXACT * (1.0 + scale))
+    assert np.abs(expected[1]).min() > 0.1
+
+
+def ball_centre(t, q, u):
+    return u[:3] + jnp.array([1.0, 0.0, 0.0]) * u[6]
+
+
+def ball_spin(t, q, u):
+    return rotation_matrix(q[3:7]).T @ u[3:6]
+
+
+BALL = kane.Frame(lambda t, q, u: q[:3], lambda t, q, u: rotation_matrix(q[3:7]))
+
+
+def rolling_ball(mass, radius, acceleration):
+    """A ball on a plane under a tilted gravity; its centre has an auxiliary speed."""
+    inertia = 0.4 * mass * radius**2 * np.eye(3)
+    system = kane.KaneSystem(
+        7,
+        6,
+        lambda t, q, u: jnp.concatenate(
+            [u[:3], quaternion_rates(q[3:7], ball_spin(t, q, u))]
+        ),
+        [kane.RigidBody(mass, inertia, ball_centre, ball_spin)],
+        [kane.Load(ball_centre, lambda t, q, u: mass * jnp.asarray(acceleration))],
+        auxiliary=1,
+    )
+    touching = kane.RollingContact(BALL, rk.Sphere(radius), kane.ground, rk.Plane())
+    q = [0.0, 0.0, radius, 1.0, 0.0, 0.0, 0.0]
+    return kane.rolling_contacts(system, [touching], q, np.zeros(6))
+
+
+def test_friction_of_a_rolling_ball_is_the_reaction_of_its_centre():
+    """2/7 m g_x against the way, by multipliers and by dependent speeds."""
+    rolling = rolling_ball(2.0, 0.3, [3.0, 0.0, -G])
+    friction = [-2.0 / 7.0 * 2.0 * 3.0]
+    start = rolling.start
+    by_multipliers = kane.reactions(rolling.system, 0.0, start)
+    np.testing.assert_allclose(by_multipliers, friction, rtol=0, atol=EXACT)
+    eliminated = kane.reactions(
+        rolling.eliminated, 0.0, rolling.eliminated_state(start)
+    )
+    np.testing.assert_allclose(eliminated, friction, rtol=0, atol=EXACT)
+    force = rolling.forces(0.0, start).force
+    np.testing.assert_allclose(force, [[*friction, 0.0, 2.0 * G]], rtol=0, atol=EXACT)
