@@ -193,3 +193,65 @@ def test_friction_of_a_rolling_ball_is_the_reaction_of_its_centre():
     np.testing.assert_allclose(eliminated, friction, rtol=0, atol=EXACT)
     force = rolling.forces(0.0, start).force
     np.testing.assert_allclose(force, [[*friction, 0.0, 2.0 * G]], rtol=0, atol=EXACT)
+
+
+def hung_ball(dependent, masses, sizes, gravity):
+    """A ball on a plane, and a particle on a rod at its centre; a base of contacts.
+
+    The ball's centre has an auxiliary speed, which the contact names and the rod, that
+    gives way, does not.
+    """
+    (m, m_p), (radius, rod) = masses, sizes
+    inertia = 0.4 * m * radius**2 * np.eye(3)
+    particle = lambda t, q, u: u[6:9]
+    lifted = lambda t, q, u: u[:3] + jnp.array([1.0, 0.0, 0.0]) * u[9]
+    return kane.KaneSystem(
+        10,
+        9,
+        lambda t, q, u: jnp.concatenate(
+            [
+                lifted(t, q, u),
+                quaternion_rates(q[3:7], ball_spin(t, q, u)),
+                u[6:9],
+            ]
+        ),
+        [
+            kane.RigidBody(m, inertia, lifted, ball_spin),
+            kane.Particle(m_p, particle),
+        ],
+        [
+            kane.Load(lifted, lambda t, q, u: m * jnp.asarray(gravity)),
+            kane.Load(particle, lambda t, q, u: m_p * jnp.asarray(gravity)),
+        ],
+        constraints=lambda t, q, u: [(q[7:] - q[:3]) @ (u[6:9] - u[:3])],
+        dependent=dependent,
+        configuration=lambda t, q, u: [0.5 * (jnp.sum((q[7:] - q[:3]) ** 2) - rod**2)],
+        dependent_coordinates=(9,),
+        auxiliary=1,
+    )
+
+
+@pytest.mark.parametrize("dependent", [(8,), None])
+def test_contacts_on_a_system_with_constraints(dependent):
+    """The contact's force is what the weights do not accelerate with."""
+    masses, sizes, gravity = (2.0, 0.5), (0.3, 0.8), np.array([0.7, 0.2, -G])
+    system = hung_ball(dependent, masses, sizes, gravity)
+    touching = kane.RollingContact(BALL, rk.Sphere(sizes[0]), kane.ground, rk.Plane())
+    centre, down = np.array([0.0, 0.0, sizes[0]]), np.array([0.48, 0.64, 0.6])
+    rolling = kane.rolling_contacts(
+        system,
+        [touching],
+        [*centre, 1.0, 0.0, 0.0, 0.0, *(centre + sizes[1] * down)],
+        [0.3, 0.1, 0.0, -0.1 / 0.3, 0.3 / 0.3, 0.5, 0.3, 0.1, 0.0],
+    )
+    assert not rolling.redundant
+    assert not rolling.undetermined
+    u_dot = kane.kane_derivative(rolling.system, 0.0, rolling.start).u
+    (force,) = rolling.forces(0.0, rolling.start).force
+    needed = masses[0] * (u_dot[:3] - gravity) + masses[1] * (u_dot[6:] - gravity)
+    np.testing.assert_allclose(force, needed, rtol=0, atol=EXACT)
+    # the ball's spin is by the contact alone: I w' = -r e_z x F
+    turned = 0.4 * masses[0] * sizes[0] ** 2 * u_dot[3:6]
+    arm = np.array([0.0, 0.0, -sizes[0]])
+    np.testing.assert_allclose(turned, np.cross(arm, force), rtol=0, atol=EXACT)
+    assert np.abs(force[:2]).min() > 0.01

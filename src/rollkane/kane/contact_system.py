@@ -278,7 +278,7 @@ def _row_names(
 ) -> tuple[list[str], list[str]]:
     """Of the rows of configuration and of velocity constraints."""
     gaps = [f"configuration[{k}]" for k in range(len(system.dependent_coordinates))]
-    slips = [f"constraints[{k}]" for k in range(len(system.dependent))]
+    slips = [f"constraints[{k}]" for k in range(system.constraint_count)]
     for name, pair in zip(names, pairs, strict=True):
         gaps += [f"{name}: gap along {axis} [m]" for axis in "xyz"]
         if not pair.by_normal:
@@ -326,7 +326,7 @@ def _places(
 def _normal_rows(shared: Shared, normals: np.ndarray, count: int) -> np.ndarray:
     """Velocities along normals, as combinations of all velocity constraints."""
     found = np.zeros((normals.shape[0], count))
-    at = len(shared.base.dependent)
+    at = shared.base.constraint_count
     for k, pair in enumerate(shared.pairs):
         found[k, at : at + 3] = normals[k]
         at += 3 + pair.without_spin
@@ -371,8 +371,10 @@ def _forces(rolling: RollingSystem, t: Array, state: KaneState) -> ContactForces
         return Slips(shared.base.constraints, None)(t, state.q, u, now)
 
     C = cast(Array, jax.jacfwd(slips)(jnp.zeros_like(equations.u)))
-    reaction = jnp.linalg.pinv(C.T, rtol=1e-9) @ equations.lacking
-    at = len(shared.base.dependent)
+    # not of auxiliary speeds: what holds these is no contact's
+    m = system.speeds
+    reaction = jnp.linalg.pinv(C[:, :m].T, rtol=1e-9) @ equations.lacking[:m]
+    at = shared.base.constraint_count
     force: list[Array] = []
     torque: list[Array] = []
     for pair in shared.pairs:

@@ -6,6 +6,7 @@ list of numbers. Velocities are affine in the
 speeds; nothing is derived by hand, partial velocities and accelerations are theirs.
 """
 
+import functools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeAlias, cast
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, Float
 
 from ..dynamics.bodies import checked_inertia
 from ..validation.checks import FieldError, positive
-from ..validation.user_functions import GivenFunction, as_floats
+from ..validation.user_functions import GivenFunction, as_floats, numbers_of
 
 # What a user gives for numbers: one, an array, sequences of them.
 Numbers: TypeAlias = ArrayLike | Sequence[Any]
@@ -239,6 +240,15 @@ class KaneSystem(eqx.Module):
     def at(self, function: GivenFunction, t: Array, q: Array, u: Array) -> Array:
         """The value of one of its functions."""
         return function(t, q, u, self.more(t, q, u))
+
+    @property
+    def constraint_count(self) -> int:
+        """How many velocity constraints there are, whatever they determine."""
+        if self.constraints is None:
+            return 0
+        bound = functools.partial(self.at, self.constraints)
+        sizes = (), (self.coordinates,), (self.speeds + self.auxiliary,)
+        return jax.eval_shape(bound, *(numbers_of(size) for size in sizes)).shape[0]
 
     @property
     def independent(self) -> tuple[int, ...]:
