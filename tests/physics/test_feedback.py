@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.dynamics.observables import power
 from rollkane.geometry.rotations import rotation_matrix
 from rollkane.validation.checks import FieldError
 
@@ -96,11 +97,67 @@ def test_matrices_are_the_equations():
     np.testing.assert_allclose(found.velocities, np.concatenate(u), atol=1e-14)
 
 
+def drive(t, own):
+    """A torque of the carrier on a body in it, on that body's axes."""
+    return jnp.stack([0.02, -0.01 * t, 0.03 + 0.1 * own.angular_velocity[0]])
+
+
+def spring(t, alpha, alpha_dot):
+    return 0.3 * jnp.sin(t) - 5.0 * alpha - 0.1 * alpha_dot
+
+
+def driven_inside(t, state):
+    own = state.supported[0]
+    inner = spring(t, own.alpha, own.alpha_dot)
+    return jnp.concatenate([jnp.zeros(3), drive(t, own), inner])
+
+
+def rubber_ball_in_shell(torque=None, force=None):
+    """A shell, in it a rubber ball with a mass on a spring."""
+    ball = rk.Body(0.7, 2.8e-3 * np.eye(3), rk.Sphere(0.1))
+    along = lambda alpha: jnp.stack([jnp.stack([0.02, alpha[0], 0.03])])
+    mass = rk.PointMasses(0.2, along, force, coordinates=1)
+    hollow = rk.Sphere(0.29, inside=True)
+    rubber = rk.RubberRolling()
+    inner = rk.RollingBody(ball, hollow, mass, rubber, torque=torque)
+    shell = rk.Body(1.0, 0.05 * np.eye(3), rk.Sphere(0.3))
+    return rk.Scene(shell, supported=inner), inner
+
+
+# halves of turns about x after which the contact's normal, on the ball's axes, points
+# up and down, and about which its third component changes its sign
+@pytest.mark.parametrize("half", [0.3, 1.2, np.pi / 4 - 1e-9, np.pi / 4 + 1e-9])
+def test_feedback_on_what_rolls_without_spin_is_a_torque(half):
+    """As the torque of the carrier: on the ball's axes, less what the normal takes."""
+    scene, inner = rubber_ball_in_shell()
+    twin, _ = rubber_ball_in_shell(drive, spring)
+    more = {"alpha": [0.01], "alpha_dot": [0.2]}
+    turn, low = [np.cos(half), np.sin(half), 0.0, 0.0], [0.0, 0.0, -0.29]
+    own = inner.place(turn, [0.4, 0.3, 0.0], low, **more)
+    start, t = rk.place(scene, LEVEL, (0.5, 0.2, 0.1), STILL, supported=own), 0.4
+    found = rk.rolling_derivative(rk.with_feedback(scene, driven_inside), t, start)
+    expected = rk.rolling_derivative(twin, t, start)
+    pairs = zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)
+    for one, other in pairs:
+        # a few hundred roundings of accelerations of some ten
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    assert np.abs(expected.supported[0].angular_velocity).max() > 1.0
+    powers = [
+        power(each, jnp.asarray(t), start)
+        for each in (rk.with_feedback(scene, driven_inside), twin)
+    ]
+    np.testing.assert_allclose(*powers, rtol=0, atol=1e-14)
+    assert abs(powers[0]) > 1e-3
+
+
 def test_what_feedback_is_refused_for():
     scene = rk.Scene(EGG)
     start = rk.place(scene, LEVEL, (0.5, 2.0, 1.0), STILL)
     with pytest.raises(FieldError, match="returns shape"):
         rk.with_feedback(scene, lambda t, state: jnp.zeros(4))
+    rubber, _ = rubber_ball_in_shell()
+    with pytest.raises(FieldError, match=r"returns shape \(6,\).*\(7,\)"):
+        rk.with_feedback(rubber, lambda t, state: jnp.zeros(6))
     with pytest.raises(FieldError, match="must be a function"):
         rk.with_feedback(scene, 1.0)
     with pytest.raises(FieldError, match="must be a Scene"):

@@ -180,6 +180,7 @@ def rolling_ball(mass, radius, acceleration):
     return kane.rolling_contacts(system, [touching], q, np.zeros(6))
 
 
+@pytest.mark.slow
 def test_friction_of_a_rolling_ball_is_the_reaction_of_its_centre():
     """2/7 m g_x against the way, by multipliers and by dependent speeds."""
     rolling = rolling_ball(2.0, 0.3, [3.0, 0.0, -G])
@@ -231,7 +232,9 @@ def hung_ball(dependent, masses, sizes, gravity):
     )
 
 
-@pytest.mark.parametrize("dependent", [(8,), None])
+@pytest.mark.parametrize(
+    "dependent", [pytest.param((8,), marks=pytest.mark.slow), None]
+)
 def test_contacts_on_a_system_with_constraints(dependent):
     """The contact's force is what the weights do not accelerate with."""
     masses, sizes, gravity = (2.0, 0.5), (0.3, 0.8), np.array([0.7, 0.2, -G])

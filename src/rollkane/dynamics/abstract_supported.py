@@ -9,6 +9,7 @@ import jax
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot
+from ..kinematics.contact import Contact
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from .carried import Carried, Pairing
@@ -106,6 +107,14 @@ class AbstractRollingPart(AbstractSupported):
     @abc.abstractmethod
     def scene(self) -> Any:
         """The ``Scene`` of the pair alone."""
+
+    @abc.abstractmethod
+    def axes(self, contact: Contact) -> tuple[Array, ...]:
+        """Along which its relative angular velocity may be, its own axes.
+
+        Args:
+            contact: Of the pair.
+        """
 
     @abc.abstractmethod
     def velocities(self, t: Array, state: State) -> list[Array]:

@@ -23,7 +23,10 @@ class Equations(NamedTuple):
         force: f, shape (m,): inertial and applied forces, springs included.
         velocities: u, shape (m,).
         names: Of the quasi-velocities: ``"w x"`` (body axes), ``"alpha'[0]"``,
-            ``"rolling[0] u x"`` (its own axes).
+            ``"rolling[0] u x"`` (its own axes); ``"rolling[0] u 1"`` and ``"u 2"`` of
+            one that does not spin about the normal, along two directions at right
+            angles to it that jump where the normal's third component, on its own axes,
+            changes its sign.
     """
 
     mass_matrix: Float[Array, "m m"]
@@ -37,8 +40,8 @@ def equations_of_motion(scene: Scene, t: Any, state: Any) -> Equations:
 
     A generalized force q, such as :func:`rollkane.with_feedback` adds, is a torque on
     the body, body axes, then a force for each coordinate, then torques of carriers on
-    rolling bodies. Solving M u' = f + q for u' gives rates of the components on body
-    axes.
+    rolling bodies, along the axes of their quasi-velocities. Solving M u' = f + q for
+    u' gives rates of the components on body axes.
 
     Args:
         scene: What rolls on what, by ``Rolling()`` and without dry resistance.

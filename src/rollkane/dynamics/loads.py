@@ -41,9 +41,11 @@ class AbstractLoad(eqx.Module):
         del t, body, contact
         return None
 
-    def generalized(self, t: Float[Array, ""], state: Any) -> Float[Array, " m"] | None:
+    def generalized(
+        self, scene: Any, t: Float[Array, ""], state: Any
+    ) -> list[Array] | None:
         """Generalized forces on all quasi-velocities, by the state; None: none."""
-        del t, state
+        del scene, t, state
         return None
 
     def moment_by_normal_force(self, contact: Contact) -> Float[Array, "3"] | None:

@@ -122,9 +122,9 @@ def with_generalized(
 ) -> list[Array]:
     """Right-hand sides with the loads' generalized forces on all quasi-velocities."""
     for load in scene.loads:
-        given = load.generalized(t, state)
+        given = load.generalized(scene, t, state)
         if given is not None:
-            right = [a + b for a, b in zip(right, components(given), strict=True)]
+            right = [a + b for a, b in zip(right, given, strict=True)]
     return right
 
 

@@ -251,9 +251,10 @@ def power(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, ""
         if wrench is not None and stored is None:
             value = value + dot(w, wrench[1])
             value = value if j is None else value + dot(j, wrench[0])
-        given = load.generalized(t, state)
+        given = load.generalized(scene, t, state)
         if given is not None:
-            value = value + dot(given, jnp.stack(quasi_velocities(scene, t, state)))
+            moves = jnp.stack(quasi_velocities(scene, t, state))
+            value = value + dot(jnp.stack(given), moves)
     first = 0
     rates = components(solution.alpha_ddot)
     listed = zip(scene.shares(state), carried, strict=True)

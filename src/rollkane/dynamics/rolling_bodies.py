@@ -166,7 +166,7 @@ class RollingBody(AbstractRollingPart):
             rotation, place = matmul(to_carrier, rotation), matvec(to_carrier, place)
         if self.position is not None:
             place = self.position + place
-        axes, turn_bias = self._axes(contact), None
+        axes, turn_bias = self.axes(contact), None
         if self.contact.without_spin:
             N, rate = contact.normal, contact.normal_rate
             assert rate is not None
@@ -202,15 +202,19 @@ class RollingBody(AbstractRollingPart):
         """
         contact = contact_of(self.scene, t, state)
         u = contact.angular_velocity
-        found = [dot(e, u) for e in self._axes(contact)]
+        found = [dot(e, u) for e in self.axes(contact)]
         found += components(state.alpha_dot)
         bodies = rolling_parts(self.supported)
         for part, own in zip(bodies, state.supported, strict=True):
             found += part.velocities(t, own)
         return found
 
-    def _axes(self, contact: Contact) -> tuple[Array, ...]:
-        """Along which its relative angular velocity may be, its own axes."""
+    def axes(self, contact: Contact) -> tuple[Array, ...]:
+        """Along which its relative angular velocity may be, its own axes.
+
+        Args:
+            contact: Of the pair.
+        """
         if self.contact.without_spin:
             return tangent_pair(contact.normal)
         return tuple(jnp.eye(3, dtype=contact.normal.dtype))
