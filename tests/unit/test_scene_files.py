@@ -629,6 +629,37 @@ def test_formula_of_constants_is_what_it_says():
     assert found == -8.0 + 2.0 + 1.0 - 1.0 + 0.5
 
 
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("x  # along\n + 2*y", 2.0 + 2 * 3.0),
+        ("# of both\n x # the one: π (not)\n\n * # and\n y # the other", 2.0 * 3.0),
+        ("sin(  # of what\n  0*x)\n- y", -3.0),
+        ("x  # alone", 2.0),
+    ],
+)
+def test_comments_in_a_formula_end_at_their_lines(text, value):
+    """As Python reads it in brackets; all values here are exact."""
+    assert Formula((text,), ("x", "y"))(jnp.float64(2.0), jnp.float64(3.0)) == value
+
+
+@pytest.mark.parametrize(
+    "text", ["x # π, then y\n + {z}", "# z\n\tx*{z}", "x + # 'z\n sin(  {z}) # z"]
+)
+def test_what_is_wrong_behind_a_comment_is_pointed_at(text):
+    with pytest.raises(FormulaError) as caught:
+        parse(text.replace("{z}", "z"), ("x", "y"))
+    assert caught.value.shift == text.index("{z}")
+
+
+@pytest.mark.parametrize(
+    "text", ["# nothing", "x + # y", "x # one\n y", "x) # \n + (y"]
+)
+def test_comments_do_not_make_a_formula(text):
+    with pytest.raises(FormulaError, match="cannot be read"):
+        parse(text, ("x", "y"))
+
+
 def test_formula_points_into_its_string(tmp_path):
     for quote, opened in (('"', '"'), ("'", "'"), ('"""', '"""\n')):
         formula = f"{opened}0.1*x + 2*z{quote}"

@@ -7,6 +7,7 @@ A formula is read by Python's own parser and then only walked over: numbers, nam
 import ast
 import math
 import operator
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -44,6 +45,7 @@ _WRITTEN_OTHERWISE: dict[type[ast.AST], str] = {
     ast.Attribute: "write functions and names without a dot: sin(x)",
 }
 _LONGEST = 2000
+_COMMENT = re.compile(r"#[^\n]*")  # a formula holds no text in which # could stand
 _MOST_NODES = 600  # walked over by recursion, far below Python's limit of its depth
 
 
@@ -166,7 +168,8 @@ def parse(
     """Read an expression and refuse everything that is not arithmetic.
 
     Args:
-        text: The expression, for example ``0.3*x**2 + 0.1*sin(y)``.
+        text: The expression, for example ``0.3*x**2 + 0.1*sin(y)``, of one line or
+            of several; a comment (``#``) goes to the end of its line.
         coordinates: Names that stand for coordinates.
         parameters: Names that stand for parameters.
 
@@ -180,7 +183,9 @@ def parse(
         raise FormulaError(
             f"has more than {_LONGEST} characters", "shorten it", _LONGEST
         )
-    one_line = text.replace("\n", " ")
+    # a comment ends at its line, which is lost below; characters keep their places
+    bare = _COMMENT.sub(lambda found: " " * len(found[0]), text)
+    one_line = bare.replace("\n", " ")
     lead = len(one_line) - len(one_line.lstrip())
     try:
         tree = ast.parse(one_line.strip(), mode="eval").body
