@@ -1,4 +1,8 @@
-"""Motions to draw, put together by hand: pictures need states, not a solve."""
+"""Motions to draw, put together by hand: pictures need states, not a solve.
+
+Flights do: their runs have modes."""
+
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -83,3 +87,33 @@ def rolling_on_sphere(count: int = ROWS, **options) -> rk.Trajectory:
 def rolling_in_bowl(count: int = ROWS) -> rk.Trajectory:
     scene = rk.Scene(ball(), rk.Base(rk.Graph(lambda x, y: x * x + 0.5 * y * y)))
     return motion(scene, circle(count))
+
+
+@functools.cache
+def dropped_disc() -> rk.Trajectory:
+    """A run with modes of a leaning disc that is let fall, bounces and rolls on."""
+    inertia = np.diag([2.5e-3, 2.5e-3, 5e-3])
+    scene = rk.Scene(rk.Body(1.0, inertia, rk.DiscEdge(0.1)))
+    half = 0.5 * np.radians(70.0)
+    start = rk.release(
+        scene,
+        (np.cos(half), np.sin(half), 0.0, 0.0),
+        (0.0, 1.0, 8.0),
+        (0.0, 0.0, 0.15),
+        (0.0, 0.0, 0.0),
+    )
+    modes = rk.Modes(friction=0.8, restitution=0.3)
+    return rk.simulate(scene, start, np.linspace(0.0, 0.5, 51), modes=modes)
+
+
+@functools.cache
+def thrown_disc() -> rk.Trajectory:
+    """A run with modes that leaves its base at once, and nothing lands."""
+    inertia = np.diag([2.5e-3, 2.5e-3, 5e-3])
+    hill = rk.Base(rk.Graph(lambda x, y: -0.5 * x * x))
+    scene = rk.Scene(rk.Body(1.0, inertia, rk.DiscEdge(0.1)), hill)
+    half = 0.5 * np.radians(80.0)
+    leaning = np.cos(half), np.sin(half), 0.0, 0.0
+    start = rk.place(scene, leaning, (0.0, -40.0, 8.0), (0.0, 0.0, 0.0))
+    modes = rk.Modes(friction=0.8)
+    return rk.simulate(scene, start, np.linspace(0.0, 0.3, 31), modes=modes)

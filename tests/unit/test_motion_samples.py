@@ -5,10 +5,12 @@ import jax
 import numpy as np
 import pytest
 
+import rollkane as rk
+from rollkane.dynamics.ready_observables import READY
 from rollkane.dynamics.rolling import contact_of, rolling_derivative
 from rollkane.pictures.motion_samples import motion_samples
 from rollkane.validation.checks import FieldError
-from tests.pictures import rolling_on_plane, rolling_on_sphere
+from tests.pictures import dropped_disc, rolling_on_plane, rolling_on_sphere
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +51,21 @@ def test_rows_that_were_not_reached_are_known(run):
     assert stopped.reached.tolist() == [True] * 4 + [False] * 20
     assert np.isnan(stopped.energy_error[4:]).all()
     assert len(stopped.rows(stopped.reached).time) == 4
+
+
+def test_there_is_no_spin_without_a_contact():
+    run = dropped_disc()
+    drawn, flies = motion_samples(run), np.asarray(run.mode) == rk.Mode.FLYING
+    assert 0 < flies.sum() < flies.size
+    np.testing.assert_array_equal(drawn.touches, ~flies)
+    assert np.isnan(drawn.spin[flies]).all()
+    level = np.asarray(run.angular_velocity)[~flies, 2]  # the base's normal is z
+    np.testing.assert_allclose(drawn.spin[~flies], level, rtol=1e-12)
+    assert (drawn.normal_force[flies] == 0.0).all()  # nothing touches
+    normals = np.asarray(run.each(READY["outward"]))
+    assert np.isnan(normals[flies]).all()
+    # down, from a quaternion that is of length one to the rtol of the run, 1e-9 a step
+    assert np.abs(normals[~flies] - [0.0, 0.0, -1.0]).max() < 1e-6
 
 
 def test_energy_error_of_no_energy_at_all(run):

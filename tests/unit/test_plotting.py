@@ -25,7 +25,13 @@ from rollkane.pictures.plotting import (
     tilt_angle,
 )
 from rollkane.validation.checks import FieldError
-from tests.pictures import rolling_in_bowl, rolling_on_plane, rolling_on_sphere
+from tests.pictures import (
+    dropped_disc,
+    rolling_in_bowl,
+    rolling_on_plane,
+    rolling_on_sphere,
+    thrown_disc,
+)
 
 
 @pytest.fixture(scope="module")
@@ -106,6 +112,32 @@ def test_a_run_that_stopped_is_blank_where_it_was_not():
     assert "stopped at 0.782609 s: the step became too small" in figure.get_suptitle()
     drawn(figure)
     drawn(figure_contact_path(run))
+
+
+def test_flights_are_blank_where_there_is_no_contact():
+    run = dropped_disc()
+    figure, flies = figure_overview(run), np.asarray(run.mode) == rk.Mode.FLYING
+    spin, tilt, energy, force = (values for _, values in curves(figure))
+    for values in (spin, tilt):
+        np.testing.assert_array_equal(np.isnan(values), flies)
+    assert np.isfinite(energy).all()
+    assert (force[flies] == 0.0).all()
+    drawn(figure)
+    path = figure_contact_path(run)
+    (panel, *_) = path.axes
+    (lines,) = panel.collections
+    known = [len(piece) == 2 for piece in lines.get_segments()]  # without its NaN
+    assert sum(known) == np.sum(~flies[1:] & ~flies[:-1])
+    origin = next(x for x in panel.get_lines() if "in flight" in str(x.get_label()))
+    np.testing.assert_array_equal(np.isfinite(origin.get_xdata()), flies)
+    drawn(path)
+
+
+def test_a_contact_that_is_lost_does_not_pull():
+    figure = figure_overview(thrown_disc())
+    assert figure.axes[3].get_title("right").startswith("lost first at")
+    drawn(figure)
+    drawn(figure_contact_path(thrown_disc()))
 
 
 def test_a_run_of_which_nothing_is_known():

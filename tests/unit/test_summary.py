@@ -1,7 +1,9 @@
 """The summary of a run, and where a sampled function changes its sign."""
 
+import dataclasses
 import re
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from rollkane.files.scene_files import load_scene
 from rollkane.pictures.summary import reversals, sign_changes, summary
 from rollkane.pictures.summary_by_kind import path_line
 from rollkane.simulation.run import simulate
+from tests.pictures import dropped_disc, thrown_disc
 
 
 def test_sign_changes_of_a_cubic_are_exact():
@@ -52,7 +55,8 @@ def test_a_ripple_about_zero_reverses_nothing():
     rate = -slow * np.sin(slow * time) - 0.15 * fast * np.sin(fast * time)
     zeros = sign_changes(time, value, rate)
     assert zeros.size > 6
-    found = reversals(time, value, rate, 0.2)
+    least = 0.2 * 1.15
+    found = reversals(time, value, rate, least)
     assert found.size == 3
     # where the slow turn is as large as the ripple at most: asin(0.15) / slow
     np.testing.assert_allclose(found, [1.5, 4.5, 7.5], rtol=0, atol=0.151 / slow)
@@ -60,15 +64,15 @@ def test_a_ripple_about_zero_reverses_nothing():
     # each is the last zero before the other side: none lies between it and that side
     for at in found:
         later = time > at
-        side = np.sign(value[later][np.abs(value[later]) > 0.2 * 1.15][0])
-        until = time[later][np.abs(value[later]) > 0.2 * 1.15][0]
+        side = np.sign(value[later][np.abs(value[later]) > least][0])
+        until = time[later][np.abs(value[later]) > least][0]
         assert not np.any((zeros > at) & (zeros < until))
         assert side == np.sign(np.cos(slow * until))
     # backwards in time the sides are taken in the other order, as often
-    assert reversals(time[::-1], value[::-1], rate[::-1], 0.2).size == 3
+    assert reversals(time[::-1], value[::-1], rate[::-1], least).size == 3
     # a spin that never gets far to the other side has not turned
-    assert reversals(time, 0.9 + value, rate, 0.2).size == 0
-    assert reversals(time, 0 * value, rate, 0.2).size == 0
+    assert reversals(time, 0.9 + value, rate, 0.2 * 2.05).size == 0
+    assert reversals(time, 0 * value, rate, 0.0).size == 0
 
 
 def listed(text: str, pattern: str) -> list[float]:
@@ -172,6 +176,51 @@ def test_a_ball_that_slips_and_rolls():
     assert rolled == pytest.approx(1.0 - slips, rel=1e-3)
     assert "flies" not in text
     assert "in all" not in told(simulate(*level_ball(), [0.0, 0.5]))
+
+
+def test_what_is_told_of_flights():
+    """Spin, tilt and force are those of the contact; by differences of the outputs."""
+    run = dropped_disc()
+    text, touches = told(run), np.asarray(run.mode) != rk.Mode.FLYING
+    spin = np.asarray(run.angular_velocity)[touches, 2]
+    ends = re.search(r"spin (\S+) -> (\S+) rad/s about the normal, while", text)
+    assert [float(x) for x in ends.groups()] == pytest.approx(spin[[0, -1]], rel=1e-5)
+    turned = Rotation.from_quat(np.asarray(run.orientation)[:, [1, 2, 3, 0]])
+    tilt = np.degrees(np.arccos(np.abs(turned.as_matrix()[touches, 2, 2])))
+    assert listed(text, r"least tilt ([\d.]+) deg") == pytest.approx(
+        [tilt.min()], rel=5e-4
+    )
+    press = np.asarray(run.normal_force)[touches]
+    assert listed(text, r"normal force ([\d.]+) N at least") == pytest.approx(
+        [press.min()], rel=5e-4
+    )
+    assert "J, by friction, landings" in text
+    assert "assumes that it can" not in text
+
+
+def test_a_run_that_only_flies():
+    """It left its base at once, and nothing did work on it."""
+    text = told(thrown_disc())
+    assert "J, nothing did work" in text
+    assert "least tilt 80 deg to the base, t = 0 s" in text
+    assert "assumes that it can" not in text
+    run = dropped_disc()
+    some = np.asarray(run.mode) == rk.Mode.FLYING
+    cut = lambda x: x[some] if x.ndim and len(x) == len(some) else x
+    flies = dataclasses.replace(
+        run, time=run.time[some], state=jax.tree.map(cut, run.state)
+    )
+    text = told(flies)
+    assert "about the normal" not in text
+    assert "least tilt" not in text
+    assert "normal force none, it flies" in text
+
+
+def test_reversals_in_flight_are_not_told_of_the_normal():
+    """A disc that is thrown turns on about its diameter; its spin had no time to."""
+    text = told(thrown_disc())
+    assert "about the normal, while there is a contact reversals none" in text
+    assert re.search(r"about body axis y \d reversals", text)
 
 
 def level_ball():

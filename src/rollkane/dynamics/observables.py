@@ -296,9 +296,10 @@ def normal_force(
 
 
 def outward(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, "3"]:
-    """Unit normal out of the body at the contact [1], FIXED axes."""
+    """Unit normal out of the body at the contact [1], FIXED axes; NaN in flight."""
     contact = contact_of(scene, t, state)
-    return matvec(contact.rotation, contact.normal)
+    normal = matvec(contact.rotation, contact.normal)
+    return normal if state.touches else jnp.full_like(normal, jnp.nan)
 
 
 def friction_ratio(

@@ -74,9 +74,10 @@ class MotionSamples(NamedTuple):
         orientation: Unit quaternion, scalar first, body to fixed [1], shape (T, 4).
         angular_velocity: [rad/s], fixed axes, shape (T, 3).
         velocity: Of the body origin [m/s], fixed axes, shape (T, 3).
-        contact_on_base: [m], base axes, shape (T, 3).
-        contact_on_body: [m], body axes, shape (T, 3).
-        outward: Unit normal out of the base at the contact [1], fixed axes, (T, 3).
+        contact_on_base: [m], base axes, shape (T, 3); in flight the body's origin.
+        contact_on_body: [m], body axes, shape (T, 3); in flight 0, its origin.
+        outward: Unit normal out of the base at the contact [1], fixed axes, (T, 3); of
+            no length in flight, as are the two below.
         base_outward: The same on base axes [1], shape (T, 3).
         body_outward: Unit normal out of the body there [1], body axes, shape (T, 3).
         contact_force: On the body [N], fixed axes, shape (T, 3).
@@ -133,9 +134,18 @@ class MotionSamples(NamedTuple):
         return np.isfinite(motion).all(axis=1) & np.isfinite(self.time)
 
     @property
+    def touches(self) -> np.ndarray:
+        """Which rows hold a contact, shape (T,): all but those in flight."""
+        return self.reached & self.outward.any(axis=1)
+
+    @property
     def spin(self) -> np.ndarray:
-        """Angular velocity along the base's outward normal [rad/s], shape (T,)."""
-        return np.sum(self.angular_velocity * self.outward, axis=1)
+        """Angular velocity along the base's outward normal [rad/s], shape (T,).
+
+        NaN in flight, where there is no normal.
+        """
+        along = np.sum(self.angular_velocity * self.outward, axis=1)
+        return np.where(self.touches, along, np.nan)
 
     @property
     def contact(self) -> np.ndarray:
@@ -144,7 +154,7 @@ class MotionSamples(NamedTuple):
 
     @property
     def normal_force(self) -> np.ndarray:
-        """Contact force along the base's outward normal [N], shape (T,)."""
+        """Contact force along the base's outward normal [N], (T,); 0 in flight."""
         return np.sum(self.contact_force * self.outward, axis=1)
 
     @property
@@ -244,6 +254,13 @@ def reached_samples(trajectory: Trajectory) -> tuple[MotionSamples, np.ndarray]:
         remedy = "repair the start"
         raise FieldError("trajectory", trajectory.reason, problem, remedy)
     return motion.rows(rows), rows
+
+
+def spans(flags: np.ndarray) -> list[tuple[int, int]]:
+    """First and last rows of each run of true values."""
+    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
+    starts, ends = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))
 
 
 def _row(scene: Scene, t: Array, state: Any) -> Float[Array, " n"]:

@@ -28,7 +28,8 @@ def draw_path(
 
     Args:
         panel: Axes of matplotlib, of two dimensions.
-        motion: The motion; what it did not reach is left out.
+        motion: The motion; what it did not reach is left out. In flight its rows hold
+            the body's origin, which is drawn dotted.
         base: Surface whose height lines are drawn below the path; None for none.
         colorbar: Whether a scale of times is put beside the panel.
         in_space: Whether the path is that in fixed axes, not that on a moving base.
@@ -40,7 +41,8 @@ def draw_path(
     spread = _spread(path)
     factor, unit = _length_unit(spread)
     x, y = factor * path.T
-    lines = LineCollection(_pieces(x, y), cmap="viridis", zorder=2)
+    _draw_flights(panel, kept, x, y)
+    lines = LineCollection(_pieces(kept, x, y), cmap="viridis", zorder=2)
     lines.set_linewidth(_width(path))
     lines.set_array(0.5 * (kept.time[1:] + kept.time[:-1]))
     lines.set_capstyle("round")
@@ -95,7 +97,8 @@ def draw_path_in_space(
         )
     columns = factor * kept.contact_on_base.T
     seen = np.where(facing[1:] & facing[:-1], 1.0, 0.35)
-    lines = Line3DCollection(_pieces(*columns), cmap="viridis", zorder=3)
+    _draw_flights(panel, kept, *columns)
+    lines = Line3DCollection(_pieces(kept, *columns), cmap="viridis", zorder=3)
     lines.set_linewidth(1.3 * _width(kept.contact_on_base))
     lines.set_array(0.5 * (kept.time[1:] + kept.time[:-1]))
     lines.set_alpha(seen.tolist())
@@ -146,9 +149,21 @@ def _spread(points: np.ndarray) -> float:
     return float(np.max(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
 
 
-def _pieces(*columns: np.ndarray) -> list[np.ndarray]:
-    corners = np.stack(columns, axis=1)
+def _pieces(motion: MotionSamples, *columns: np.ndarray) -> list[np.ndarray]:
+    """From row to row while there is a contact; NaN elsewhere."""
+    corners = np.where(motion.touches[:, None], np.stack(columns, axis=1), np.nan)
     return list(np.stack([corners[:-1], corners[1:]], axis=1))
+
+
+def _draw_flights(
+    panel: "Axes | _Axes3D", motion: MotionSamples, *columns: np.ndarray
+) -> None:
+    """The path of the body's origin while there is no contact."""
+    if motion.touches.all():
+        return
+    shown = [np.where(motion.touches, np.nan, x) for x in columns]
+    label = "body's origin in flight"
+    panel.plot(*shown, color=INK, lw=1.0, ls=":", label=label, zorder=3)
 
 
 def _length_unit(spread: float) -> tuple[float, str]:

@@ -21,7 +21,7 @@ from ..geometry.surfaces import (
 from ..simulation.trajectory import Trajectory
 from .envelopes import draw_curve
 from .mesh import body_size
-from .motion_samples import MotionSamples, motion_samples
+from .motion_samples import MotionSamples, motion_samples, spans
 from .plot_path import draw_path, draw_path_in_space
 from .plot_style import (
     BLUE,
@@ -53,10 +53,11 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
     Spin is the angular velocity along the base's outward normal at the contact
     [rad/s]. Tilt is the angle between that normal and an axis of the body [deg]: the
     axis of symmetry of a round body, else the one that was nearest to the normal at
-    the start. The energy is shown by its error ``|E - E0| / |E0|`` [1] (on a steady
-    turntable that of the moving energy); where the base or forces inside do work, as it
-    is [J]. The normal force [N] is shaded where the contact would have to pull. Where
-    something is carried, its coordinates alpha come last.
+    the start. In flight, without a contact, neither is drawn. The energy is shown by
+    its error ``|E - E0| / |E0|`` [1] (on a steady turntable that of the moving energy);
+    where the base or forces inside do work, as it is [J]. The normal force [N] is
+    shaded where the contact would have to pull. Where something is carried, its
+    coordinates alpha come last.
 
     Args:
         trajectory: One run, not a batch; what it did not reach is left blank.
@@ -89,7 +90,7 @@ def figure_overview(trajectory: Trajectory, title: str = "") -> "Figure":
 
 
 def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
-    """Path of the contact point on the base, coloured by time.
+    """Path of the contact point on the base, coloured by time; dotted, flights.
 
     Seen from above (x and y, equal scales) where the base faces upwards all along the
     path; in space on any other. Beside the path on a base that moves stands that in
@@ -109,7 +110,7 @@ def figure_contact_path(trajectory: Trajectory, title: str = "") -> "Figure":
     figure = new_figure((7.0, 6.0))
     motion = motion_samples(trajectory)
     base = trajectory.scene.base.surface
-    upwards = motion.base_outward[motion.reached, 2]
+    upwards = motion.base_outward[motion.touches, 2]
     if base.is_height or (upwards > _FACES_UP).all():
         _from_above(figure, motion, base)
     else:
@@ -211,7 +212,8 @@ def _curve(
     if finite.sum() < 3:
         panel.plot(motion.time[finite], values[finite], "o", color=color, ms=4)
     if not finite.any():
-        panel.text(0.5, 0.5, "not reached", transform=panel.transAxes, ha="center")
+        why = "no contact" if motion.reached.any() else "not reached"
+        panel.text(0.5, 0.5, why, transform=panel.transAxes, ha="center")
 
 
 def _draw_spin(panel: "Axes", motion: MotionSamples) -> None:
@@ -238,7 +240,7 @@ def tilt_angle(motion: MotionSamples, round_body: bool) -> tuple[np.ndarray, str
         round_body: Take the z axis; else the axis nearest to the normal at the start.
 
     Returns:
-        Angles [deg], shape (T,), and the axis' name with its sense.
+        Angles [deg], shape (T,), NaN in flight, and the axis' name with its sense.
     """
     a, b, c, d = motion.orientation.T
     axes = np.array(  # body axes in fixed components, (axis, component, T)
@@ -249,11 +251,13 @@ def tilt_angle(motion: MotionSamples, round_body: bool) -> tuple[np.ndarray, str
         ]
     )
     along = np.einsum("kit,ti->kt", axes, motion.outward)
-    start = along[:, np.argmax(motion.reached)]
-    k = 2 if round_body or np.isnan(start).any() else int(np.argmax(np.abs(start)))
+    touches = motion.touches
+    start = along[:, np.argmax(touches)]
+    k = 2 if round_body or not touches.any() else int(np.argmax(np.abs(start)))
     sign = -1.0 if start[k] < 0 else 1.0
     across = np.linalg.norm(np.cross(axes[k].T, motion.outward), axis=1)
-    return np.degrees(np.arctan2(across, sign * along[k])), "−" * (sign < 0) + "xyz"[k]
+    angle = np.degrees(np.arctan2(across, sign * along[k]))
+    return np.where(touches, angle, np.nan), "−" * (sign < 0) + "xyz"[k]
 
 
 def _draw_alpha(panel: "Axes", motion: MotionSamples) -> None:
@@ -308,15 +312,11 @@ def _draw_normal_force(
     pulls = force < 0
     if pulls.any():
         panel.fill_between(motion.time, force, 0.0, where=pulls, color=RED, alpha=0.3)
-        for on, off in _spans(pulls):
+        for on, off in spans(pulls):
             panel.axvspan(motion.time[on], motion.time[off], color=RED, alpha=0.08)
-        first = f"pulls first at {float(trajectory.first_pull):.6g} s"
-        panel.set_title(first, loc="right", color=RED, fontsize=9, pad=3)
+        does = "pulls" if trajectory.switches is None else "lost"
+        when = float(trajectory.first_pull)
+        if np.isfinite(when):  # a contact that may pull is never lost
+            first = f"{does} first at {when:.6g} s"
+            panel.set_title(first, loc="right", color=RED, fontsize=9, pad=3)
     panel.set_ylabel("normal force [N]")
-
-
-def _spans(flags: np.ndarray) -> list[tuple[int, int]]:
-    """First and last rows of each run of true values."""
-    edges = np.diff(np.concatenate([[0], flags.astype(int), [0]]))
-    starts, ends = np.nonzero(edges == 1)[0], np.nonzero(edges == -1)[0] - 1
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -13,8 +13,15 @@ from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
 from ..hybrid.modes import Switches
 from ..simulation.trajectory import Trajectory
-from .motion_samples import MotionSamples, motion_samples
-from .summary_by_kind import DOES, line, mode_line, path_line, what_happened
+from .motion_samples import MotionSamples, motion_samples, spans
+from .summary_by_kind import (
+    DOES,
+    line,
+    mode_line,
+    path_line,
+    what_happened,
+    work_line,
+)
 
 _MOST_LISTED = 12
 _SIDE = 0.2  # of the largest spin: a ripple about zero that is smaller turns nothing
@@ -41,10 +48,10 @@ def summary(trajectory: Trajectory) -> list[str]:
         (:func:`rollkane.pictures.summary_by_kind.what_happened`), relative drift of the
         energy that has to be kept [1] or how it changed [J], when the contact changed
         [s] in a run with ``modes`` and how long it rolled, slipped and flew, steps, the
-        normal force [N] (or when the contact would first have had to pull), the
-        friction coefficient that rolling needed [1], and of each body that rolls on or
-        in the body where it came to, the path of its contact on its carrier [m] and its
-        normal force [N].
+        normal force while there is a contact [N] (or when it would first have had to
+        pull), the friction coefficient that rolling needed [1], and of each body that
+        rolls on or in the body where it came to, the path of its contact on its carrier
+        [m] and its normal force [N].
 
     Raises:
         FieldError: a batch.
@@ -57,7 +64,7 @@ def summary(trajectory: Trajectory) -> list[str]:
         lines += _spin_lines(trajectory, motion, rows)
         lines.append(_place_line(motion))
         lines += what_happened(trajectory, motion)
-        lines.append(_energy_line(motion))
+        lines.append(_energy_line(trajectory, motion))
     steps, rejected = int(trajectory.steps), int(trajectory.rejected_steps)
     lines += _switch_lines(trajectory.switches) + mode_line(trajectory)
     loop = "in C" if trajectory.method == "native" else "by diffrax"
@@ -137,25 +144,27 @@ def reversals(
     time: Float[np.ndarray, " T"],
     value: Float[np.ndarray, " T"],
     rate: Float[np.ndarray, " T"],
-    share: float,
+    least: float,
 ) -> Float[np.ndarray, " n"]:
     """Times at which a sampled function reverses, other than by a ripple about zero.
 
-    It has turned back once it has gone beyond a share of its largest size on either
-    side of zero, one after the other; the reversal is its last zero between the two.
+    It has turned back once it has gone beyond a least size on either side of zero, one
+    after the other; the reversal is its last zero between the two.
 
     Args:
         time: Strictly monotonic [s].
         value: Samples.
         rate: Their rates [unit of the samples / s].
-        share: Of the largest size, below which no side is taken [1].
+        least: Size below which no side is taken [unit of the samples].
 
     Returns:
         Times in the order of the samples [s].
     """
-    beyond = np.nonzero(np.abs(value) > share * np.max(np.abs(value)))[0]
+    beyond = np.nonzero(np.abs(value) > least)[0]
     side = np.sign(value[beyond])
     arrived = time[beyond[1:][side[1:] != side[:-1]]]
+    if not arrived.size:
+        return arrived
     along = np.sign(time[-1] - time[0])
     zeros = sign_changes(time, value, rate)
     before = [int(np.sum(along * zeros < along * t)) for t in arrived]
@@ -173,18 +182,32 @@ def _spin_lines(
     spins, rates, upwards = (
         np.asarray(x, dtype=float)[rows] for x in trajectory.each(_spins)
     )
-    axis = int(np.argmax(np.abs(upwards[0])))
+    touches = motion.touches
+    axis = int(np.argmax(np.abs(upwards[np.argmax(touches)]))) if touches.any() else 2
+    whenever, normal = np.ones_like(touches), "the normal"
+    if not touches.all():
+        normal += ", while there is a contact"
+    known = (3, normal, touches), (axis, f"body axis {'xyz'[axis]}", whenever)
     lines: list[str] = []
     fastest = np.max(np.abs(motion.angular_velocity))
-    for k, about in ((3, "the normal"), (axis, f"body axis {'xyz'[axis]}")):
-        spin = spins[:, k]
+    for k, about, has in known:
+        if not has.any():
+            continue
+        spin = spins[has, k]
         lines.append(
             line("spin", f"{spin[0]:+.6g} -> {spin[-1]:+.6g} rad/s about {about}")
         )
-        if rows.size < 2 or np.max(np.abs(spin)) <= _ROUNDING * fastest:
+        largest = np.max(np.abs(spin))
+        if largest <= _ROUNDING * fastest:
             lines.append(line("  reversals", "none"))
             continue
-        times = reversals(motion.time, spin, rates[:, k], _SIDE)
+        # one after the other: what it did in between, in flight, is no reversal
+        rests = [slice(on, off + 1) for on, off in spans(has)]
+        found = [
+            reversals(motion.time[at], spins[at, k], rates[at, k], _SIDE * largest)
+            for at in rests
+        ]
+        times = np.concatenate(found)
         listed = ", ".join(f"{t:.4f}" for t in times[:_MOST_LISTED]) + " s"
         if times.size > _MOST_LISTED:
             listed += f" and {times.size - _MOST_LISTED} more"
@@ -206,11 +229,10 @@ def _place_line(motion: MotionSamples) -> str:
     return line("end position", f"({at}) m, {far}")
 
 
-def _energy_line(motion: MotionSamples) -> str:
+def _energy_line(trajectory: Trajectory, motion: MotionSamples) -> str:
     """Drift of the energy that the motion has to keep; else how it changed."""
     if not motion.kept:
-        change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
-        return line("energy", f"{change}, by the base and forces that do work")
+        return work_line(trajectory, motion)
     drift = f"{np.nanmax(motion.energy_error):.1e}"
     if motion.kept == "energy":
         return line("energy drift", drift)
@@ -218,8 +240,11 @@ def _energy_line(motion: MotionSamples) -> str:
 
 
 def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
-    press, time = motion.normal_force, motion.time
     mass = float(trajectory.scene.body.mass)
+    motion = motion.rows(motion.touches)
+    if not motion.time.size:
+        return [line("normal force", "none, it flies")]
+    press, time = motion.normal_force, motion.time
     if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:
         return [line("normal force", "none")]
     least = int(np.argmin(press))
@@ -227,7 +252,7 @@ def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
         line("normal force", f"{press[least]:.4g} N at least, t = {time[least]:.4g} s")
     ]
     pull = float(trajectory.first_pull)
-    if not np.isnan(pull):
+    if trajectory.switches is None and not np.isnan(pull):
         lines.append(
             f"  the contact would have to pull first at t = {pull:.4f} s; the run "
             "assumes that it can"

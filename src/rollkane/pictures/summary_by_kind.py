@@ -32,12 +32,15 @@ def what_happened(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
     """
     lines: list[str] = []
     if isinstance(trajectory.scene.body.surface, _RIMS):
-        lines.append(_tilt_line(motion))
+        lines += _tilt_line(motion)
         if int(trajectory.code) == Code.SURFACE_EDGE:
             when = float(trajectory.final_time)
             lines.append(line("fell flat", f"t = {when:.6g} s"))
-    if motion.base_moves:
-        lines.append(_farthest_line("over the base", motion, motion.contact_on_base))
+    touching = motion.rows(motion.touches)
+    if motion.base_moves and touching.time.size:
+        places = touching.contact_on_base
+        far = np.linalg.norm(places - places[0], axis=1)
+        lines.append(line("over the base", _farthest(touching.time, far)))
     if motion.masses.size:
         distance = np.linalg.norm(motion.carried - motion.carried[0], axis=2)
         which = int(np.argmax(np.max(distance, axis=0)))
@@ -63,6 +66,24 @@ def mode_line(trajectory: Trajectory) -> list[str]:
     return [line("", f"in all {', '.join(told)}")]
 
 
+def work_line(trajectory: Trajectory, motion: MotionSamples) -> str:
+    """How the energy changed [J] where none has to be kept, and by what."""
+    scene, switches = trajectory.scene, trajectory.switches
+    causes = ["the base"] if motion.base_moves else []
+    parts = *scene.supported, *scene.loads, scene.contact
+    if any(part.does_work for part in parts):
+        causes.append("forces that do work")
+    if switches is not None:
+        before, after = np.asarray(switches.before), np.asarray(switches.after)
+        if Mode.SLIPPING in [*np.asarray(trajectory.mode), *after]:
+            causes.append("friction")
+        if Mode.FLYING in before:
+            causes.append("landings")
+    change = f"{motion.energy[0]:.6g} -> {motion.energy[-1]:.6g} J"
+    why = f"by {', '.join(causes)}" if causes else "nothing did work"
+    return line("energy", f"{change}, {why}")
+
+
 def path_line(time: np.ndarray, places: np.ndarray) -> str:
     """Length of a contact's path, by chords between outputs, and how far it came.
 
@@ -80,19 +101,17 @@ def line(name: str, text: str) -> str:
     return f"  {name:<18}{text}"
 
 
-def _tilt_line(motion: MotionSamples) -> str:
+def _tilt_line(motion: MotionSamples) -> list[str]:
+    motion = motion.rows(motion.touches)  # a tilt to the base is one at the contact
+    if not motion.time.size:
+        return []
     axis = rotated(motion.orientation, np.array([0.0, 0.0, 1.0]))
     along = np.abs(np.sum(axis * motion.outward, axis=1))
     across = np.linalg.norm(np.cross(axis, motion.outward), axis=1)
     tilt = np.degrees(np.arctan2(across, along))
     least = int(np.argmin(tilt))
     text = f"{tilt[least]:.4g} deg to the base, t = {motion.time[least]:.4g} s"
-    return line("least tilt", text)
-
-
-def _farthest_line(name: str, motion: MotionSamples, places: np.ndarray) -> str:
-    far = np.linalg.norm(places - places[0], axis=1)
-    return line(name, _farthest(motion.time, far))
+    return [line("least tilt", text)]
 
 
 def _farthest(time: np.ndarray, distance: np.ndarray) -> str:

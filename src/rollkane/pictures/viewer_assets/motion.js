@@ -4,6 +4,8 @@
 
 var rollkane = rollkane || {};
 
+rollkane.FLYING = 2; // of rollkane.Mode: there is no normal to spin about
+
 rollkane.unpack = (packed) => {
   const types = {
     float64: Float64Array,
@@ -163,7 +165,7 @@ rollkane.Motion = class {
     state.base_outward = this.between(this.baseNormals, at);
     state.carried = "carried" in this.columns ? this.between("carried", at) : [];
     const along = (v) => v.reduce((sum, x, i) => sum + x * state.outward[i], 0);
-    state.spin = along(state.angular_velocity);
+    state.spin = state.mode === rollkane.FLYING ? NaN : along(state.angular_velocity);
     state.normalForce = along(state.contact_force);
     return state;
   }

@@ -71,7 +71,9 @@ rollkane.Timeline = class {
       const normal = motion.row("outward", k);
       return motion.row(name, k).reduce((sum, x, i) => sum + x * normal[i], 0);
     };
-    if (key === "spin") return [{ name: "", values: rows.map(along("angular_velocity")) }];
+    const touches = (k) => motion.columns.mode?.[k] !== rollkane.FLYING;
+    const spin = (k) => (touches(k) ? along("angular_velocity")(k) : NaN);
+    if (key === "spin") return [{ name: "", values: rows.map(spin) }];
     if (key === "normal_force") return [{ name: "", values: rows.map(along("contact_force")) }];
     const width = motion.columns[key].length / motion.count;
     const names = rollkane.QUANTITIES[key][2];
