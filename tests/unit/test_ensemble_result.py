@@ -1,5 +1,6 @@
 """What an ensemble is asked for: names of its ends, data sets, pictures."""
 
+import dataclasses
 import io
 import os
 
@@ -103,6 +104,28 @@ def test_data_set(runs, dataset):
     times = runs.events["gone / far"].times
     np.testing.assert_array_equal(dataset["gone _ far_time"], times)
     np.testing.assert_array_equal(dataset["gone _ far_count"], runs.code == 12)
+
+
+def test_no_event_hides_anything_in_a_data_set(runs):
+    """An event "final" has a ``final_time``, which is the ensemble's."""
+    record = dataclasses.replace(runs.event_record, names=("final",))
+    runs = dataclasses.replace(runs, event_record=record)
+    with pytest.raises(rk.FieldError, match=r"Event\.name.*final.*another name"):
+        runs.to_xarray()
+
+
+def test_what_is_observed_hides_nothing_in_a_data_set(runs):
+    """``final_time`` and coordinates keep their names."""
+    seen = np.asarray(runs.observed["energy"])
+    names = "final_time", "time", "member", "axis", "base_axis"
+    data = dataclasses.replace(runs, observed=dict.fromkeys(names, seen)).to_xarray()
+    np.testing.assert_array_equal(data["final_time"], runs.final_time)
+    np.testing.assert_array_equal(data["time"], runs.time)
+    for name in names:
+        np.testing.assert_array_equal(data[f"observed_{name}"], seen)
+    twice = {"time": seen, "observed_time": seen}
+    with pytest.raises(rk.FieldError, match=r"ensemble\.observe.*another name"):
+        dataclasses.replace(runs, observed=twice).to_xarray()
 
 
 def test_netcdf_reads_back(runs, dataset, tmp_path):

@@ -3,6 +3,7 @@
 Needs the extra ``rollkane[results]`` (xarray).
 """
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,8 @@ from .export import quantities as quantities_of
 if TYPE_CHECKING:
     import xarray
 
-_Variables = dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]]
+_Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
+_Variables = dict[str, _Variable]
 
 _MEMBER = ("member",)
 _BOTH = ("member", "time")
@@ -27,6 +29,7 @@ _ENDS = {
     "rejected_steps": ("rejected steps", "1"),
     "fault": ("number of the field that cannot be used, -1: none", ""),
 }
+_OWN_COORDINATES = {*COORDINATES, *BASE_AXIS, *_BOTH}
 _AT_END = "position", "orientation", "angular_velocity"
 
 
@@ -48,7 +51,9 @@ def ensemble_to_xarray(ensemble: Ensemble) -> "xarray.Dataset":
 
     Raises:
         ImportError: xarray is not installed.
-        FieldError: the ensemble is traced, or has a batch of ensembles.
+        FieldError: the ensemble is traced, or has a batch of ensembles; an event has
+            a name such as "final", whose ``final_time`` is there already, or what was
+            observed has two of one name.
     """
     xarray = imported("xarray")
     if is_traced(ensemble) or np.ndim(ensemble.code) != 1:
@@ -62,12 +67,19 @@ def ensemble_to_xarray(ensemble: Ensemble) -> "xarray.Dataset":
     variables: _Variables = {}
     if ensemble.state is not None:
         variables |= quantities_of(ensemble, scene, _BOTH)
-    ends = _ends(ensemble)
-    variables |= ends | _events(ensemble)
+    variables |= _ends(ensemble)
+    for event, name, about in _events(ensemble):
+        if name in variables or name in _OWN_COORDINATES:
+            problem = f'would be another "{name}" in a data set'
+            raise FieldError("Event.name", event, problem, "give another name")
+        variables[name] = about
     for name, value in ensemble.observed_by_name.items():
         name = name.replace("/", "_")  # which NetCDF keeps for its groups
-        if name in variables or name in COORDINATES:
+        if name in variables or name in _OWN_COORDINATES:
             name = f"observed_{name}"
+        if name in variables:
+            problem, remedy = "would be there twice in a data set", "give another name"
+            raise FieldError("ensemble.observe", name, problem, remedy)
         own = tuple(f"{name}_{k}" for k in range(value.ndim - 2))
         variables[name] = ((*_BOTH, *own), value, {"long_name": f"observed: {name}"})
     coordinates = COORDINATES | {
@@ -115,13 +127,13 @@ def _explained(ensemble: Ensemble) -> str:
     return "\n".join(lines)
 
 
-def _events(ensemble: Ensemble) -> _Variables:
-    found: _Variables = {}
+def _events(ensemble: Ensemble) -> Iterator[tuple[str, str, _Variable]]:
+    """Of each event: its name, and names and values of its variables."""
     for event, crossings in ensemble.events.items():
         name = event.replace("/", "_")
         times, count = np.asarray(crossings.times), np.asarray(crossings.count)
         about = labels(f'times of "{event}"', "s", "")
-        found[f"{name}_time"] = (*_MEMBER, f"{name}_crossing"), times, about
+        over = *_MEMBER, f"{name}_crossing"
+        yield event, f"{name}_time", (over, times, about)
         about = labels(f'how often "{event}" happened', "1", "")
-        found[f"{name}_count"] = _MEMBER, count, about
-    return found
+        yield event, f"{name}_count", (_MEMBER, count, about)
