@@ -125,11 +125,14 @@ class Trials(eqx.Module):
         """One step: to the next landing, to where an event may be, or as proposed."""
         at = c.place
         goal = self.landings.ends[c.landing]
-        lands = ~c.searching & (goal - at.t <= c.step * (1.0 + 1e-9))
+        lands = goal - at.t <= c.step * (1.0 + 1e-9)
         length = c.step
         if c.watched is not None:
-            lands &= ~c.watched.search.active
-            length = jnp.where(c.looks, c.watched.trial, length)
+            # what it looks for may be on the landing itself: no step begins there again
+            trial = c.watched.trial
+            lands = jnp.where(c.looks, at.t + trial >= goal, lands)
+            length = jnp.where(c.looks, trial, length)
+        lands &= ~c.searching
         length = jnp.where(c.searching, c.bracket.trial, length)
         t1 = jnp.where(lands, goal, at.t + length)
         end = self.motion.stepped(at.mode, at.direction, at.t, t1, at.y, True)
