@@ -334,7 +334,7 @@ int64_t integrate(const Queue *q, const Results *out) {
             a.wanted = choose_row(a.running, dt, a.wanted);
             a.t_end = choose_row(a.running, towards(only, a.goal, a.t, dt), a.t_end);
 #if EVENTS
-            a.t_end = choose_row(a.running & looks, a.t + trial, a.t_end);
+            a.t_end = choose_row(a.running & looks, min_row(a.t + trial, a.goal), a.t_end);
             const mask lost = a.running & small & not_row(known);
             for (int l = 0; any(lost) && l < LANES; l++) {
                 if (!LANE(lost, l)) continue;

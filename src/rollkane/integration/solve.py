@@ -37,7 +37,14 @@ from .step_control import (
     first_step,
     landings,
 )
-from .watched_steps import Watched, Watching, in_order, shown_again, with_events
+from .watched_steps import (
+    Watched,
+    Watching,
+    in_order,
+    past_the_end,
+    shown_again,
+    with_events,
+)
 
 
 def solve(
@@ -102,7 +109,7 @@ def _by_diffrax(
     )
     with checked_before(plan.saveat):
         solution = solve(
-            *(t0, t1, dt0, y0, model),
+            *(t0, past_the_end(times) if watches else t1, dt0, y0, model),
             saveat=dfx.SaveAt(
                 subs=_saved(plan, times, recording, replay, events),
                 controller_state=watches,
@@ -176,7 +183,7 @@ def _chooser(
     def values(events: Any, model: Any, t: Array, y: Array) -> Array:
         return values_of(events, model, t, unpack(y, like))
 
-    return Watching(controller, events, _least_step(times), values)  # pyright: ignore[reportCallIssue]
+    return Watching(controller, events, _least_step(times), times[-1], values)  # pyright: ignore[reportCallIssue]
 
 
 def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:

@@ -21,6 +21,7 @@ from .controller_interface import (
 )
 from .event_search import Events, Happened, Search, judged, layout_of
 from .plans import Solution
+from .step_control import clock_step
 
 # A refused step is shortened to this at least
 _SHORTEST = 0.2
@@ -52,6 +53,7 @@ class Watching(AbstractAround):
         controller: Chooses the steps; it has no least one.
         events: What is looked for.
         dtmin: Least step [s].
+        last: Where the run ends [s]; for diffrax it would go on (``past_the_end``).
         values: ``values(events, model, t, y)`` of the packed state, shape (E,).
         sense: Direction of time in which diffrax works.
     """
@@ -59,13 +61,14 @@ class Watching(AbstractAround):
     controller: Any
     events: Any
     dtmin: Any
+    last: Any
     values: Callable[..., Array] = eqx.field(static=True)
     sense: Any = 1.0
 
     def wrap(self, direction: Sense) -> Any:
         """The controller for the direction of time in which diffrax works."""
-        parts = self.controller.wrap(direction), direction
-        return eqx.tree_at(lambda c: (c.controller, c.sense), self, parts)
+        parts = self.controller.wrap(direction), self.last * direction, direction
+        return eqx.tree_at(lambda c: (c.controller, c.last, c.sense), self, parts)
 
     def first_step(self, start: RunStart) -> tuple[Number, Watched]:
         """As the controller, with the events' values at the start."""
@@ -99,7 +102,8 @@ class Watching(AbstractAround):
         result = dfx.RESULTS.where(
             stuck, dfx.RESULTS.dt_min_reached, dfx.RESULTS.successful
         )
-        result = dfx.RESULTS.where(jnp.any(stops), dfx.RESULTS.event_occurred, result)
+        ends = jnp.any(stops) | (keep & (t1 >= self.last))
+        result = dfx.RESULTS.where(ends, dfx.RESULTS.event_occurred, result)
         memory = Watched(
             _chosen(looks, inner, after),
             found.search,
@@ -107,8 +111,23 @@ class Watching(AbstractAround):
             jnp.where(blind, jnp.argmax(lost | unseen), -1),
         )
         next_t0 = jnp.where(keep, next_t0, t0)
-        next_t1 = jnp.where(looks, t0 + found.trial, next_t1)
+        # a length from t0 to the end may lead past it, by rounding
+        trial = jnp.minimum(t0 + found.trial, self.last)
+        next_t1 = jnp.where(looks, trial, next_t1)
         return keep, next_t0, next_t1, jump & keep, memory, result
+
+
+def past_the_end(times: Float[Array, " T"]) -> Float[Array, ""]:
+    """A last time for diffrax behind a watched run's own [s].
+
+    Tries of a step that would end within a hundred roundings of diffrax's last time
+    are made half as long as the way to it: an event there would never be reached.
+
+    Args:
+        times: Of the outputs [s].
+    """
+    sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    return times[-1] + sense * 4.0 * clock_step(times)
 
 
 def _chosen(flag: Array, new: Any, old: Any) -> Any:
@@ -125,6 +144,8 @@ def with_events(run: Solution, watched: Watched, times: Float[Array, " T"]) -> S
     by = jnp.where(lost, blind, found.by)
     found = found._replace(time=sense * found.time, by=by)
     code = jnp.where(lost, Code.EVENT_NOT_FINITE, run.code)
+    # what ended without an event was told to at its last time
+    code = jnp.where((code == Code.STOPPED) & (by < 0), Code.COMPLETED, code)
     return dataclasses.replace(run, happened=found, code=code)
 
 
