@@ -75,8 +75,12 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
         memcpy(s->seen[0], begin, sizeof s->seen[0]);
         for (int e = 0; e < EVENTS; e++) s->mean[e] = C(fabs)(values[e] - begin[e]) / x;
     }
-    for (int e = 0; e < EVENTS; e++) { /* a value that reaches zero has crossed it */
-        crossed[e] = side[e] != 0 && sign_one(values[e]) != side[e] && event_way[e] != side[e];
+    for (int e = 0; e < EVENTS; e++) {
+        /* a value that reaches zero has crossed it, and may stay there; a search for where
+         * it left zero again goes back through zeros to the step's begin */
+        const int rests = begin[e] == 0 && values[e] == 0 && (begins || !s->due[e]);
+        crossed[e] = side[e] != 0 && sign_one(values[e]) != side[e] &&
+                     event_way[e] != side[e] && !rests;
         hits |= crossed[e];
     }
     if (begins || hits) memcpy(s->due, crossed, sizeof crossed);
@@ -110,7 +114,7 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
     for (int e = 0; e < EVENTS; e++) {
         found[e] = (hits && crossed[e]) || (s->due[e] && (near[e] || shut));
         /* a zero right behind the one before, or the start, is that one */
-        s->fires[e] = found[e] && !(t1 - s->zero[e] <= own);
+        s->fires[e] = found[e] && !(t1 - (begin[e] == 0 ? t0 : s->zero[e]) <= own);
     }
     for (int e = 0; e < EVENTS; e++) {
         if (found[e]) side[e] = -side[e];

@@ -104,7 +104,8 @@ static mask look_for_events(const Queue *q, const Results *out, Lanes *a, mask k
     mask some = a->active, looks = mask_of(0);
     for (int e = 0; e < EVENTS; e++) {
         const mask crossed = (a->side[e] != 0) & (sign_row(seen[e]) != a->side[e]);
-        some |= crossed & (splat(event_way[e]) != a->side[e]);
+        const mask moves = (a->value[e] != 0) | (seen[e] != 0); /* else it stays zero */
+        some |= crossed & moves & (splat(event_way[e]) != a->side[e]);
     }
     some &= kept & a->running;
     a->active &= kept;

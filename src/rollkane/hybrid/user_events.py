@@ -192,6 +192,7 @@ def behind(
     values = cast(Array, jax.lax.cond(changed, anew, lambda: s.values))
     ways = jnp.asarray(layout.ways, values.dtype)
     jumps = changed & (s.side != 0.0) & (jnp.sign(values) != s.side) & (ways != s.side)
+    jumps = jumps & (look.values != 0.0)  # from zero: it was there before
     fires = look.fires | jumps
     side = jnp.where(changed & (values != 0.0), jnp.sign(values), s.side)
     side = jnp.where(jumps & (values == 0.0), -s.side, side)

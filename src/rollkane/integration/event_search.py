@@ -191,8 +191,10 @@ def judged(
     seen = jnp.where(begins, s.values, s.seen[0])
     whole, tries = jnp.where(begins, x, s.whole), jnp.where(begins, 0, s.tries)
     ways = jnp.asarray(layout.ways, values.dtype)
-    # a value that reaches zero has crossed it
-    crossed = (s.side != 0.0) & (jnp.sign(values) != s.side) & (ways != s.side)
+    # a value that reaches zero has crossed it, and may stay there. A search for where
+    # it left zero again goes back through zeros to the start of the step: no event
+    rests = (s.values == 0.0) & (values == 0.0) & ~(s.active & s.due)
+    crossed = (s.side != 0.0) & (jnp.sign(values) != s.side) & (ways != s.side) & ~rests
     hits = jnp.any(crossed)
     due = jnp.where(begins | hits, crossed, s.due)
     low, high = jnp.where(hits, low, x), jnp.where(hits, x, high)
@@ -213,7 +215,8 @@ def judged(
     fires = (hits & crossed) | (due & (near | shut))
     searching = hits | s.active
     # a zero right behind the one before, or the start, is that one
-    own = t1 - s.zero <= jnp.maximum(START * np.finfo(x.dtype).eps * whole, 4.0 * tiny)
+    zero = jnp.where(s.values == 0.0, t0, s.zero)
+    own = t1 - zero <= jnp.maximum(START * np.finfo(x.dtype).eps * whole, 4.0 * tiny)
     found = good & searching & done
     counted = fires & ~own & found
     stands = good & (~searching | done)
