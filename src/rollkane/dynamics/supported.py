@@ -17,7 +17,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components
-from ..validation.checks import FieldError, positive
+from ..validation.checks import FieldError, dimension, positive
 from ..validation.user_functions import (
     UserFunction,
     as_time,
@@ -104,7 +104,7 @@ class PointMasses(_Driven):
                 fit, a number of coordinates that cannot be found.
         """
         one: Any = mass
-        if np.ndim(one) == 0 and not isinstance(one, (str, bool, type(None))):
+        if dimension(one) == 0 and not isinstance(one, (str, bool, type(None))):
             mass = [one]
         self.mass = positive("PointMasses.mass", mass, (None,), "masses in kg, (k,)")
         shapes = {"position": (self.mass.shape[0], 3)}

@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError, real, refuse
+from ..validation.checks import FieldError, dimension, real, refuse
 from .rotations import multiply, quaternion_of
 
 _AXES = "xyz"
@@ -120,9 +120,8 @@ def orientation_from_euler(
     count = len(letters)
     meaning = f"{count} angles in {'degrees' if degrees else 'radians'}"
     field = "orientation_from_euler.angles"
-    given = real(
-        field, np.reshape(angles, -1) if count == 1 else angles, (count,), meaning
-    )
+    alone = count == 1 and dimension(angles) == 0
+    given = real(field, [angles] if alone else angles, (count,), meaning)
     half = jnp.asarray(given) * (0.5 * (np.pi / 180.0 if degrees else 1.0))
     found: Array = jnp.zeros(4, half.dtype).at[0].set(1.0)
     for letter, angle in zip(letters, half, strict=True):

@@ -1,7 +1,7 @@
 """Systems that are ready: a free body, a bar on a frame, Kane's babyboot, a disc."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import jax.numpy as jnp
 import numpy as np
@@ -172,7 +172,7 @@ def babyboot(
     rod, plate = at(rod_length), at(plate_length)
     parts = [
         RigidBody(rod_mass, rod_moment * np.eye(3), rod, rod_spin),
-        RigidBody(plate_mass, np.diag(plate_moments), plate, plate_spin),
+        RigidBody(plate_mass, _diagonal(plate_moments), plate, plate_spin),
     ]
     loads = [Load(rod, weight(rod_mass)), Load(plate, weight(plate_mass))]
     return KaneSystem(2, 2, rates, parts, loads)
@@ -237,7 +237,7 @@ def rolling_disc(
         to_fixed = about_axis(2, q[2]) @ about_axis(0, q[3])
         return to_fixed @ (radius * jnp.stack([w[1], -w[0], 0.0 * w[2]]))
 
-    inertia = np.diag([across, along, across])
+    inertia = _diagonal([across, along, across])
     weight: _Vector = lambda t, q, u: mass * gravity * jnp.array([0.0, 0.0, -1.0])
     part = RigidBody(mass, inertia, velocity, spin)
     return KaneSystem(5, 3, kinematics, [part], [Load(velocity, weight)])
@@ -278,3 +278,11 @@ def _known_speeds(field: str, speeds: str) -> None:
         raise FieldError(
             field, speeds, "is no choice of speeds", f"take one of {DISC_SPEEDS}"
         )
+
+
+def _diagonal(moments: Sequence[Any] | Array | np.ndarray) -> list[list[Any]]:
+    """A tensor of moments, some of which may be traced."""
+    return [
+        [moment if i == j else 0.0 for j in range(len(moments))]
+        for i, moment in enumerate(moments)
+    ]

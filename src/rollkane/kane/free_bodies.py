@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from ..geometry.rotations import quaternion_rates, rotation_matrix
-from ..validation.checks import FieldError, real
+from ..validation.checks import FieldError, is_traced, real
 from .contact_system import Frame
 from .system import KaneSystem, Load, RigidBody
 
@@ -59,7 +59,7 @@ def free_bodies(
         for k, (mass, inertia) in enumerate(zip(masses, inertias, strict=True))
     ]
     loads: list[Load] = []
-    if np.any(np.asarray(g)):
+    if is_traced(g) or np.any(np.asarray(g)):
         loads = [Load(part.velocity, _Weight(part.mass * g)) for part in parts]
     system = KaneSystem(7 * count, 6 * count, _kinematics, parts, loads)
     frames = [Frame(_Position(k), _Rotation(k)) for k in range(count)]

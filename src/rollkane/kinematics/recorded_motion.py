@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError, is_traced, real, refuse
+from ..validation.checks import FieldError, dimension, is_traced, real, refuse
 from .base_motion import AbstractBaseMotion, BaseKinematics
 
 # How far a sample may be from equal spacing [steps]: times printed with few digits are.
@@ -158,7 +158,7 @@ def _components(acceleration: Any, count: int) -> Array:
     """Samples of x, y and z from one to three components."""
     field = "RecordedMotion.acceleration"
     meaning = f"{count} samples in m/s^2, shape ({count},) or ({count}, 1 to 3)"
-    flat = np.ndim(acceleration) == 1
+    flat = dimension(acceleration) == 1
     samples = real(field, acceleration, (None,) if flat else (None, None), meaning)
     samples = samples[:, None] if flat else samples
     found, width = samples.shape

@@ -69,6 +69,14 @@ def is_traced(*values: Any) -> bool:
     return False
 
 
+def dimension(value: Any) -> int:
+    """How many axes numbers have: NumPy tells it of no list that holds traced ones."""
+    if isinstance(value, (list, tuple)):
+        entries = cast("list[Any]", value)
+        return 1 + (dimension(entries[0]) if entries else 0)
+    return np.ndim(value)
+
+
 def real(
     field: str,
     value: Any,
