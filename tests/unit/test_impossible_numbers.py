@@ -345,3 +345,53 @@ def test_a_batch_of_placements_is_few_programs(caplog):
     # the placement, what checks and moves arguments of four shapes, linspace and stack;
     # one program for each operation was several hundreds
     assert 1 <= len(programs) <= 25, programs
+
+
+FINE = 1e-8
+ASKED = {
+    "rtol": (-1.0, 0.0, np.inf, 10.0, 1e-30),
+    "atol": (-1.0, 0.0, np.inf),
+    "dt0": (-1.0, 0.0, np.inf),
+}
+LOOPS = {
+    "native": {"method": "native"},
+    "diffrax": {"method": "diffrax"},
+    "modes": {"modes": rk.Modes(friction=0.2)},
+}
+# dt0 goes by diffrax's loop alone
+FITTING = [(name, loop) for name in ("rtol", "atol") for loop in LOOPS]
+FITTING.append(("dt0", "diffrax"))
+
+
+@pytest.mark.parametrize(("name", "loop"), FITTING)
+def test_an_impossible_tolerance_or_first_step_ends_with_its_name(name, loop):
+    """Traced; a good one beside it stands, and known ones are refused."""
+    how = LOOPS[loop]
+    run = lambda x: rolled(stone(), **how, **{name: x})
+    found = jax.jit(jax.vmap(run))(jnp.asarray([*ASKED[name], np.nan, FINE]))
+    bad = len(ASKED[name]) + 1
+    assert found.code.tolist() == [rk.Code.BAD_START] * bad + [rk.Code.COMPLETED]
+    lost = np.isnan(np.asarray(found.state.angular_velocity)).all((1, 2))
+    assert lost.tolist() == [True] * bad + [False]
+    for k in range(bad):
+        reason = jax.tree.map(lambda x, k=k: x[k], found).reason
+        assert reason.startswith(f"{name} cannot be used")
+    for x in ASKED[name]:
+        with pytest.raises(rk.FieldError, match=f"simulate.{name}"):
+            run(x)
+
+
+def test_a_traced_tolerance_of_an_ensemble_is_refused_alike():
+    scene = stone()
+    start = rk.place(scene, LEVEL, (0.0, 1.0, 5.0), (0.0, 0.0, 0.0))
+    two = jax.tree.map(lambda x: jnp.stack([x, x]), start)
+
+    @jax.jit
+    def ends(x):
+        found = rk.ensemble(scene, two, TIMES, rtol=x)
+        return found.code, found.final_state.angular_velocity
+
+    code, spin = ends(-1.0)
+    assert code.tolist() == [rk.Code.BAD_START] * 2
+    assert np.isnan(np.asarray(spin)).all()
+    assert ends(FINE)[0].tolist() == [rk.Code.COMPLETED] * 2

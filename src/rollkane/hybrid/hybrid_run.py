@@ -202,9 +202,14 @@ class _Runs(NamedTuple):
         """
         t, start = jax.lax.stop_gradient(inputs.times[0]), inputs.start
         start = of(consistent(inputs.scene.in_modes.rolling, t, start))
-        good = _fault(inputs.scene, inputs.start, inputs.asked)[0] == NO_FAULT
+        good = self.fault(inputs)[0] == NO_FAULT
         clear: Callable[[Array], Array] = lambda x: cleared(x, good)
         return jax.tree.map(clear, start)
+
+    def fault(self, inputs: _Inputs) -> tuple[Array, Array]:
+        """Number of the field that cannot be used, and the code of a run with it."""
+        tolerances = inputs.rtol, inputs.atol
+        return _fault(inputs.scene, inputs.start, inputs.asked, tolerances)
 
     def times(self, inputs: _Inputs) -> Float[Array, " T"]:
         """Of outputs, and of the places for events behind them."""
@@ -251,7 +256,7 @@ class _Runs(NamedTuple):
     def ended(self, inputs: _Inputs, c: Run) -> HybridOutcome:
         """What came out of a run."""
         motion = self.motion_of(inputs)
-        fault = _fault(inputs.scene, inputs.start, inputs.asked)
+        fault = self.fault(inputs)
         return ended(motion, c, inputs.times.shape[0], self.allowed, *fault)
 
     def stepped(
@@ -328,11 +333,14 @@ class _Runs(NamedTuple):
 
 @shared_in_c  # asked for at the start and at the end of a run
 def _fault(
-    scene: HybridScene, start: State, asked: Float[Array, " T"]
+    scene: HybridScene,
+    start: State,
+    asked: Float[Array, " T"],
+    tolerances: tuple[Array, Array],
 ) -> tuple[Array, Array]:
     """Number of the field that cannot be used, and the code of a run with it."""
     increasing = in_order(asked) & ~(asked[0] > asked[-1])
-    return first_fault(scene, of(start), increasing)
+    return first_fault(scene, of(start), increasing, tolerances)
 
 
 def _called(function: Callable[..., Any], *arguments: Any) -> Any:

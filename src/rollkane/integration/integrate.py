@@ -21,7 +21,7 @@ from numpy.typing import DTypeLike
 
 from ..codegen.compile_effort import Known, around_a_loop
 from ..kinematics.coordinates import pack, unpack
-from ..validation.checks import FieldError, cleared, is_traced, real, whole
+from ..validation.checks import FieldError, cleared, is_traced, real, refuse, whole
 from ..validation.codes import NO_FAULT, first_fault
 from .along_steps import by_steps_of
 from .differentiate import differentiable
@@ -103,7 +103,9 @@ def _integrated(
         numbers: Callable[[Solution], Any] = lambda s: s.states
         return eqx.tree_at(numbers, found, replace_fn=lambda x: x + spoilt), record
 
-    fault, code_of_fault = first_fault(model, start, in_order(times))
+    rtol, atol, by_size = tolerances
+    asked = (rtol, atol) if dt0 is None else (rtol, atol, dt0)
+    fault, code_of_fault = first_fault(model, start, in_order(times), asked)
     good = fault == NO_FAULT
     fixed_stops = jax.lax.stop_gradient(stops.time)
     start = plan.problem.consistent(model, fixed_stops[0], start)
@@ -111,7 +113,9 @@ def _integrated(
     # NaN would keep the step controller going for ever; zero stops it at the start
     y0 = cleared(y0, good & jnp.all(jnp.isfinite(y0)))
     y0 = cast(Array, moved_in_time(rates, y0, times[0], model, -1.0))
-    rtol, atol, by_size = tolerances
+    # likewise of tolerances and first step; what they give is not used
+    rtol, atol = (jnp.where(good, x, LOOSEST) for x in (rtol, atol))
+    dt0 = None if dt0 is None else jnp.where(good, dt0, 1.0)
     sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
@@ -206,20 +210,25 @@ def warn_without_compiler(why: str) -> None:
     )
 
 
-def check_steps(max_steps: Any, dt0: Any) -> None:
-    """Refuse a number of steps that is none, and a first step without length.
+def check_steps(max_steps: Any) -> None:
+    """Refuse a number of steps that is none.
 
     Raises:
-        FieldError: they are given and no such numbers.
+        FieldError: it is given and no such number.
     """
     if max_steps is not None:
         whole("simulate.max_steps", max_steps, 1, "give how many steps may be taken")
-    if dt0 is not None and not is_traced(dt0):
-        number = not isinstance(dt0, (str, bytes, bool)) and np.ndim(dt0) == 0
-        if not (number and 0.0 < float(dt0) < np.inf):
-            problem = "must be a positive number, backwards in time, too"
-            remedy = "give the length of the first step [s], or leave it out"
-            raise FieldError("simulate.dt0", dt0, problem, remedy)
+
+
+def checked_step(dt0: Any, dtype: np.dtype[Any]) -> Any:
+    """A first step [s]: a traced one in a type, NaN where it has no length.
+
+    Raises:
+        FieldError: it is known, and no positive number.
+    """
+    problem = "must be a positive number, backwards in time, too"
+    remedy = "give the length of the first step [s], or leave it out"
+    return _positive("simulate.dt0", dt0, dtype, problem, remedy)
 
 
 def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:
@@ -271,38 +280,37 @@ def tolerances(rtol: Any, atol: Any, dtype: DTypeLike) -> tuple[Any, Any]:
 
 
 def _tolerances(rtol: Any, atol: Any, dtype: np.dtype[Any]) -> tuple[Any, Any]:
-    for field, value in (("rtol", rtol), ("atol", atol)):
-        if isinstance(value, (str, bytes, bool)):
-            raise FieldError(
-                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
-            )
     double = dtype == jnp.float64
-    rtol = (1e-9 if double else 1e-5) if rtol is None else rtol
-    atol = 0.01 * rtol if atol is None else atol
-    least = 10 * float(np.finfo(np.dtype(dtype)).eps)
-    for field, value, floor in (("rtol", rtol, least), ("atol", atol, 0.0)):
-        if is_traced(value):
-            continue
-        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
-            raise FieldError(
-                f"simulate.{field}", value, "must be a positive number", "give 1e-9"
-            )
-        if value < floor:
-            raise FieldError(
-                f"simulate.{field}",
-                value,
-                f"is below what {dtype} can hold",
-                f"give {floor:.1g} or more"
-                + ("" if double else ", or use double precision"),
-            )
-    if not is_traced(rtol) and rtol > LOOSEST:
-        raise FieldError(
-            "simulate.rtol",
-            rtol,
-            "leaves no digit of the motion right",
-            f"give {LOOSEST:g} or less, 1e-9 for instance",
-        )
-    return rtol, atol
+    if rtol is None:
+        rtol = 1e-9 if double else 1e-5
+    least = 10 * float(np.finfo(dtype).eps)
+    fine = f"give {least:.1g} or more" + ("" if double else ", or use double precision")
+    rtol = _tolerance("rtol", rtol, dtype)
+    rtol = _refused(rtol, lambda x: x < least, f"is below what {dtype} can hold", fine)
+    loose = f"give {LOOSEST:g} or less, 1e-9 for instance"
+    vague = "leaves no digit of the motion right"
+    rtol = _refused(rtol, lambda x: x > LOOSEST, vague, loose)
+    return rtol, 0.01 * rtol if atol is None else _tolerance("atol", atol, dtype)
+
+
+def _tolerance(name: str, value: Any, dtype: np.dtype[Any]) -> Any:
+    problem, remedy = "must be a positive number", "give 1e-9"
+    return _positive(f"simulate.{name}", value, dtype, problem, remedy)
+
+
+def _positive(
+    field: str, value: Any, dtype: np.dtype[Any], problem: str, remedy: str
+) -> Any:
+    """A positive number; a traced one in a type, NaN where it is none."""
+    if isinstance(value, (str, bytes, bool)) or np.ndim(value) != 0:
+        raise FieldError(field, value, problem, remedy)
+    if is_traced(value):
+        value = jnp.asarray(value, dtype)
+    return refuse(value, lambda x: ~((x > 0.0) & (x < np.inf)), field, problem, remedy)
+
+
+def _refused(rtol: Any, bad: Callable[[Any], Any], problem: str, remedy: str) -> Any:
+    return refuse(rtol, bad, "simulate.rtol", problem, remedy)
 
 
 _PLAIN = float, type(None)

@@ -13,7 +13,14 @@ from ..codegen.compile_effort import Known, known, taken_apart
 from ..validation.checks import is_traced
 from .event_search import Events
 from .held_numbers import held
-from .integrate import around_loop, by_xla, check_steps, default_solver, tolerances
+from .integrate import (
+    around_loop,
+    by_xla,
+    check_steps,
+    checked_step,
+    default_solver,
+    tolerances,
+)
 from .plans import Allowed, Plan, Problem
 from .step_control import stops_of
 
@@ -118,7 +125,7 @@ def prepared(
     dtype = times.dtype
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
-    check_steps(max_steps, dt0)
+    check_steps(max_steps)
     plan = Plan(
         problem=problem,
         solver=default_solver(rtol) if solver is None else solver,
@@ -134,7 +141,7 @@ def prepared(
     if stepsize_controller is not None or saveat is not None:
         arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
     numbers = [scalar(rtol, dtype), scalar(atol, dtype), np.asarray(by_size)]
-    first = None if dt0 is None else scalar(dt0, dtype)
+    first = None if dt0 is None else scalar(checked_step(dt0, dtype), dtype)
     others = times, stops_of(times), numbers, first, events
     return Prepared.of((by_xla, around_loop), plan, model, (arrays,), others)
 

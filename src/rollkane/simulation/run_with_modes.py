@@ -81,7 +81,7 @@ def ready_with_modes(
     check_span(scene, times)
     by_size = atol is None
     rtol, atol = tolerances(rtol, atol, dtype)
-    check_steps(max_steps, None)
+    check_steps(max_steps)
     changing = HybridScene(scene, modes)
     stops = stops_of(times, 100.0 * float(np.finfo(times.dtype).eps))
     times = held(times)

@@ -5,6 +5,7 @@ here a run finds which of its numbers it is, so that it can end with a code and 
 field.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, SupportsInt, cast
 
 import jax
@@ -83,6 +84,7 @@ _NAMES = {
 }
 
 NO_FAULT = -1
+_ASKED = "times", "rtol", "atol", "dt0"  # behind the fields of model and start
 _REFUSED = (
     "a check refuses what was given there, or it was NaN; make the same with numbers "
     "that are known (outside of jit, vmap and grad) to see the check's sentence"
@@ -120,7 +122,7 @@ class Fields(NamedTuple):
 
     def name_of(self, fault: SupportsInt) -> str:
         """Name of a field by its number; nothing for ``NO_FAULT``."""
-        return "" if int(fault) == NO_FAULT else (*self.names, "times")[int(fault)]
+        return "" if int(fault) == NO_FAULT else (*self.names, *_ASKED)[int(fault)]
 
     def reason(self, code: SupportsInt, fault: SupportsInt, event: str = "") -> str:
         """What a code says, with the field at fault.
@@ -135,6 +137,8 @@ class Fields(NamedTuple):
             return f'{reason_of(code)}: "{event}"' if event else reason_of(code)
         if fault == self.times:
             return "the times cannot be used: they are not finite or not in order"
+        if fault > self.times:
+            return f"{self.name_of(fault)} cannot be used: {_REFUSED}"
         what = self.names[fault].partition(".")[0]
         return f"the {what} cannot be used: {self.names[fault]} is NaN: {_REFUSED}"
 
@@ -146,7 +150,7 @@ def _shown(path: _Path) -> str:
 
 
 def first_fault(
-    model: Any, start: Any, in_order: Array
+    model: Any, start: Any, in_order: Array, steps: Sequence[Any] = ()
 ) -> tuple[Int[Array, ""], Int[Array, ""]]:
     """The first field that is NaN, and the code of a run with it.
 
@@ -154,12 +158,14 @@ def first_fault(
         model: Scene or system.
         start: State.
         in_order: Whether the times are finite and in order.
+        steps: ``rtol``, ``atol``, ``dt0``, as many as may have been traced.
 
     Returns:
         The field's number in ``Fields`` (``NO_FAULT``: none) and the code.
     """
     model, start = jax.tree.leaves(model), jax.tree.leaves(start)
     flags = [_spoiled(x) for x in (*model, *start)] + [~in_order[None]]
+    flags += [_spoiled(x) for x in steps]
     count = len(flags)
     # one pass over all numbers: one for each array takes several microseconds a run
     owners = np.repeat(np.arange(count), [flag.size for flag in flags])
