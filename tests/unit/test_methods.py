@@ -192,3 +192,22 @@ def test_a_batch_and_a_system_say_it_too():
     assert "was chosen" in other.why
     # some tens of roundings of numbers up to five
     np.testing.assert_allclose(run.u, other.u, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("saveat", dfx.SaveAt(dense=True), "does not keep, got SaveAt.*give the times"),
+        ("adjoint", dfx.BacksolveAdjoint(), "got BacksolveAdjoint.*leave it out"),
+        ("adjoint", dfx.ImplicitAdjoint(), "got ImplicitAdjoint.*leave it out"),
+        ("solver", dfx.KenCarp4(), "several terms.*got KenCarp4.*use Kvaerno5"),
+        ("solver", dfx.SemiImplicitEuler(), "several terms.*got SemiImplicitEuler"),
+        ("solver", dfx.ItoMilstein(), "several terms"),
+    ],
+)
+def test_what_diffrax_cannot_do_here_is_refused_by_name(name, value, said):
+    with pytest.raises(rk.FieldError, match=rf"simulate\.{name}: (?s:.*){said}"):
+        short(*problems.disc(), **{name: value})
+    if name == "solver":
+        with pytest.raises(rk.FieldError, match=r"keeping_energy\.solver: "):
+            rk.keeping_energy(BALL, solver=value)

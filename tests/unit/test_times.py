@@ -202,3 +202,9 @@ def test_impossible_times_in_a_batch_fail_alone(method):
     first = jax.tree.map(lambda x: x[0], runs)
     assert first.reason.startswith("the times cannot be used")
     assert np.isnan(np.asarray(first.state.orientation)).all()
+
+
+@pytest.mark.parametrize("end", [np.inf, -np.inf, np.nan])
+def test_times_without_end_are_refused(end):
+    with pytest.raises(rk.FieldError, match=r"simulate\.times: must be finite"):
+        rk.simulate(*problems.disc(6.0), [0.0, end])

@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, get_origin
 
 import diffrax as dfx
 
@@ -55,19 +55,44 @@ def checked_before(saveat: dfx.SaveAt | None) -> Generator[None, None, None]:
             module.eqxi = checked
 
 
+def _check_fits(field: str, value: Any) -> None:
+    """Refuse an object of diffrax's that cannot integrate one vector field here."""
+    problem = remedy = ""
+    if isinstance(value, dfx.AbstractSolver):
+        terms = getattr(value, "term_structure", dfx.AbstractTerm)
+        terms = get_origin(terms) or terms
+        if not (isinstance(terms, type) and issubclass(dfx.ODETerm, terms)):
+            problem = "is for several terms, and a motion has one right-hand side"
+            remedy = "use Kvaerno5 (implicit) or Dopri8 (explicit), or leave it out"
+    elif isinstance(value, (dfx.BacksolveAdjoint, dfx.ImplicitAdjoint)):
+        problem = "works from the last state alone, and a run has outputs besides"
+        remedy = "leave it out, or use RecursiveCheckpointAdjoint or DirectAdjoint"
+    elif isinstance(value, dfx.SaveAt) and value.dense:
+        problem = "asks for an interpolant, which a trajectory does not keep"
+        remedy = "give the times at which the motion is wanted, or SaveAt(steps=True)"
+    if problem:
+        raise FieldError(field, value, problem, remedy)
+
+
 def check_kinds(function: str, **given: Any) -> None:
-    """Refuse what is none of diffrax's objects: a name, or a class not yet called.
+    """Refuse what is none of diffrax's objects, or one that no run here can take.
+
+    A name, or a class not yet called; a solver for several terms, an adjoint that
+    integrates back, dense output.
 
     Args:
         function: Whose arguments they are, for the error.
         given: ``solver``, ``adjoint`` and so on by name; None was left out.
 
     Raises:
-        FieldError: one that is of another kind.
+        FieldError: one that is of another kind, or cannot be taken.
     """
     for name, value in given.items():
         kind, example = _KINDS[name]
-        if value is None or isinstance(value, kind):
+        if value is None:
+            continue
+        if isinstance(value, kind):
+            _check_fits(f"{function}.{name}", value)
             continue
         named = value if isinstance(value, str) else getattr(value, "__name__", "")
         meant = getattr(dfx, named, None) if named.isidentifier() else None

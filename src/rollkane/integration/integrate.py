@@ -261,9 +261,10 @@ def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:
 
 
 def _one_way(times: np.ndarray) -> bool:
-    """Whether times are all later, or all earlier, than the one before."""
+    """Whether times are finite, and all later or all earlier than the one before."""
     steps = np.diff(times)
-    return bool(np.all(steps > 0) or np.all(steps < 0))  # not so for NaN either
+    one_way = np.all(steps > 0) or np.all(steps < 0)
+    return bool(one_way and np.all(np.isfinite(times)))
 
 
 def in_order(times: Float[Array, " T"]) -> Array:
