@@ -403,3 +403,76 @@ def test_real_records(name):
         return
     with pytest.raises(rk.FieldError, match=rf"unit: .*, line \d+ names.*{unit}"):
         read(DATA / name, other)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Accel (1E-3 g)",
+        "Accel, 1E-3 g",
+        "ACCELERATION IN 1.0E-3 G",
+        "acceleration (1e-3 m/s2)",
+        "ACCELERATION (X 0.001 G)",
+        "Acceleration (x 0.01 g)",
+        "acceleration x500 (g)",
+        "ACCELERATION (G)*100",
+        "Acc (G) X 100",
+        "Acc*1000 (g)",
+        "1000 x acceleration (g)",
+        "Acc (m/s2) x1e-3",
+        "acceleration in terms of g x 10^-3",
+        "acceleration in 10 * cm/s2",
+        "UNITS=CM/S/S*1000",
+        "Acc (ug)",
+        "Acc (µg)",
+        "Acc (kgal)",
+        "Acc (dm/s2)",
+        "Acceleration (decimeter/s2)",
+        "Acceleration (%)",
+        "SI",
+    ],
+)
+def test_no_factor_and_no_unknown_unit_is_dropped(tmp_path, header):
+    path = write(tmp_path, f"quake\n{header}\nNPTS= 2, DT= .01 SEC\n100 100\n")
+    with pytest.raises(rk.FieldError, match=r"not known.*convert|usually g.*argument"):
+        rk.read_at2(path)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [
+        ("time_s,acc_ms2", 1.0),
+        ("time_s,acc_m_s2", 1.0),
+        ("time,ax_m_s2", 1.0),
+        ("time,acc_mss", 1.0),
+        ("time,acc_SI", 1.0),
+        ("t / s, a / m s^-2", 1.0),
+        ("t/s,a/(m/s^2)", 1.0),
+        ("t/s,a/g", 9.80665),
+        ("time,acc_cms2", 0.01),
+        ("time,acc_cm_s2", 0.01),
+        ("time_s,acc_g", 9.80665),
+        ("# peak acceleration 0.3 g\ntime, acceleration", 9.80665),
+        ("time, acceleration (g), component (x)", 9.80665),
+    ],
+)
+def test_units_in_names_of_columns(tmp_path, header, unit):
+    """A sample of 1 is one unit, exactly."""
+    path = write(tmp_path, f"{header}\n0.00,1\n0.01,1\n0.02,1\n")
+    record = rk.read_two_column(path)
+    assert (record.acceleration == unit).all()
+    assert record.time[1] == pytest.approx(0.01, rel=1e-12)  # ten roundings of 1e-16
+    if unit == 1.0:
+        assert (rk.read_two_column(path, unit="m/s2").acceleration == unit).all()
+
+
+@pytest.mark.parametrize(
+    "line", ["2 100 NPTS, SPS", "2 100 Hz", "2 100 points, samples/s"]
+)
+def test_a_rate_is_no_step(tmp_path, line):
+    path = write(tmp_path, f"quake\n{line}\n100\n100\n")
+    with pytest.raises(rk.FieldError, match=r"gives a rate.*step in seconds"):
+        rk.read_single_column(path)
+    path = write(tmp_path, f"quake\n{line}\n100 100\n")
+    with pytest.raises(rk.FieldError, match=r"gives a rate|no line with NPTS"):
+        rk.read_at2(path)

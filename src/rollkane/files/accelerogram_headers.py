@@ -28,6 +28,7 @@ _PLAIN = re.compile(
     rf"\s*(?P<count>{_NUMBER})\s*(?:,|;|\s)\s*(?P<step>{_NUMBER}){_BEHIND}",
     re.IGNORECASE,
 )
+_RATE = re.compile(r"\bSPS\b|\bHZ\b|\bSAMPLES?\s*(?:/|PER)\s*S", re.IGNORECASE)
 _NO_UNIT = ("", "npts", "npt", "points", "pts", "dt")
 _WORDS = re.compile(r"[A-Za-zµμ]+$")
 _SINGLE = re.compile(r"[avdu][xyz\d]?$")
@@ -227,6 +228,9 @@ def counted(file: Lines, line: int, header: Mapping[int, Said]) -> Counted | Non
         if step is None or re.search(r"\bDT\b.*NPTS", text, re.IGNORECASE):
             return None
         number = step["count"]
+        if _RATE.search(text) and not re.search(r"\bDT\b", text, re.IGNORECASE):
+            problem, remedy = "gives a rate, not a step", "write the step in seconds"
+            file.refuse(line, problem, remedy)
     samples = file.whole(number, line)
     (value,) = file.numbers([step["step"]], line)
     value *= TIMES[_step_unit(file, line, step["behind"], header)]

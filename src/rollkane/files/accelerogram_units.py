@@ -2,7 +2,8 @@
 
 A line *says* a unit where it introduces one ("in units of cm/s/s", "acceleration (g)",
 "acc_g"), and *mentions* one behind a number ("PGA = 0.3 g"). What looks like a unit of
-the samples and is not known is said, too, so that it can be refused.
+the samples and is not known is said, too, so that it can be refused, as is a unit with
+a factor; an unknown word in brackets behind the quantity is mentioned.
 """
 
 import re
@@ -23,9 +24,23 @@ TIMES = {
 }
 # what a time column may be counted in besides; refused by name
 _OTHER_TIMES = ("h", "hr", "hrs", "hour", "hours", "day", "days", "index", "samples")
-_LENGTHS = ("m", "cm", "mm", "km", "um", "µm", "μm", "nm", "ft", "feet", "inch", "in")
+_LENGTHS = (
+    "m",
+    "dm",
+    "cm",
+    "mm",
+    "km",
+    "um",
+    "µm",
+    "μm",
+    "nm",
+    "ft",
+    "feet",
+    "inch",
+    "in",
+)
 # what follows a length, as `_plain` writes it
-PER_SECOND_SQUARED = ("/s/s", "/s2", "s-2", ".s-2", "*s-2", "ps2")
+PER_SECOND_SQUARED = ("/s/s", "/s2", "s-2", ".s-2", "*s-2", "ps2", "s2", "ss")
 PER_SECOND = ("/s", "s-1", ".s-1", "*s-1", "ps")
 # a word of a header: its quantity and its unit, which need not be one that is read
 QUANTITIES: dict[str, tuple[str, str]] = {
@@ -37,7 +52,8 @@ QUANTITIES: dict[str, tuple[str, str]] = {
     **dict.fromkeys(("kine", "kines"), ("velocity", "cm/s")),
     **dict.fromkeys(("g", "gs"), ("acceleration", "g")),
     **dict.fromkeys(("gal", "gals"), ("acceleration", "cm/s2")),
-    **{x: ("acceleration", x) for x in ("mg", "%g", "milli-g", "mgal", "milligal")},
+    **{x: ("acceleration", x) for x in ("mg", "ug", "µg", "μg", "%g", "milli-g")},
+    **{x: ("acceleration", x) for x in ("mgal", "milligal", "ugal", "µgal", "kgal")},
     **{x: ("unknown", x) for x in ("count", "counts", "volt", "volts")},
 }
 _KINDS = {
@@ -58,9 +74,10 @@ _PEAKS = ("pga", "peak", "max", "min", "amax", "rms", "scale", "factor", "=", "*
 # a part or a multiple of a unit: hundredths of g, 10^-3 g
 _SCALES = re.compile(
     r"(?:%|per-?cent|milli|micro|centi|tenths?|hundredths?|thousandths?"
-    r"|x?10-?\d+|1/10+)$"
+    r"|x?10-?\d+|1/10+|[x×*]\d\S*)$"
 )
-_FACTOR = re.compile(r"(?:x|\*|times)\d*$")
+_TIMES_SIGNS = ("x", "×", "*", "times")
+_FACTOR = re.compile(r"(?:x|×|\*|times)(?:\d\S*)?$")
 # a length, g or gal per something, or g in percent: a unit, though perhaps none we know
 _UNIT_LIKE = re.compile(rf"(?:%g|(?:{'|'.join(_LENGTHS)}|gal|g)(?:/s|/\d|\*\d))")
 _PLAIN = [
@@ -85,8 +102,11 @@ _PLAIN = [
         (r"\^", ""),
         (r"/\((s2|s[*.]s|s/s)\)", "/s2"),
         (r"(?<![a-z])(m|cm|mm|ft|inch)\s+s(?=-[12](?!\d))", r"\1s"),
-        # 0.3g
-        (r"(?<![\w.])((?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)(?=[a-z%])", r"\1 "),
+        (r"(?<![a-z])(m|cm|mm)\s+s2(?!\w)", r"\1/s2"),  # acc_m_s2
+        (r"(?<![\w/])(t|time|a[xyz\d]?|acc[a-z]*)/(?=[a-z(])", r"\1 in "),  # a/g
+        (r"(?<=[a-z\d)\]])([*×])(?=\d)", r" \1 "),
+        # 0.3g, but not 1e-3, of which nothing is to be cut off
+        (r"(?<![\w.])((?>(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?))(?=[a-z%])", r"\1 "),
     )
 ]
 _WORDS = re.compile(r"[()\[\]{}:=,;]|[^\s()\[\]{}:=,;]+")
@@ -166,6 +186,9 @@ def _listed(words: list[str], i: int, several: bool) -> Iterator[tuple[str, str,
         if word in TIMES:
             yield "time", "", word
             found = True
+        elif word in _SYSTEMS:
+            yield "says", "acceleration", _SYSTEMS[word]
+            found = True
         elif word in QUANTITIES and not _scaled(words, i):
             yield "says", *QUANTITIES[word]
             found = True
@@ -178,11 +201,21 @@ def _listed(words: list[str], i: int, several: bool) -> Iterator[tuple[str, str,
 
 
 def _scaled(words: list[str], i: int) -> bool:
-    """Whether a unit is followed by a factor: g x 100."""
-    after = words[i + 1 : i + 3]
-    if not after or not _FACTOR.match(after[0]):
+    """Whether a unit is followed by a factor: g x 100, (g)*100, g x 10^-3."""
+    i += 1 + (words[i + 1 : i + 2] in [[x] for x in _CLOSING])
+    sign, factor = [*words[i : i + 2], "", ""][:2]
+    if not _FACTOR.match(sign):
         return False
-    return after[0][-1].isdigit() or (len(after) > 1 and _is_number(after[1]))
+    return sign[-1].isdigit() or _is_number(factor) or bool(_SCALES.match(factor))
+
+
+def _multiplied(words: list[str], j: int) -> bool:
+    """Whether a factor ends with a word: 10 x, (x 0.01, acc * 1000."""
+    sign = words[j] in _TIMES_SIGNS
+    number = words[j - 1 if sign else j] if j or not sign else ""
+    if not (_is_number(number) or _SCALES.match(number)):
+        return False
+    return sign or (j > 0 and words[j - 1] in _TIMES_SIGNS)
 
 
 def _in_context(words: list[str]) -> Iterator[tuple[str, str, str]]:
@@ -200,11 +233,27 @@ def _in_context(words: list[str]) -> Iterator[tuple[str, str, str]]:
                 yield "time", "", word
         elif word in QUANTITIES:
             yield from _unit(words, i, j, opened, _is_kind(before))
-        elif _UNIT_LIKE.match(word):
-            how = "mentions" if _is_number(before) and not opened else "says"
-            yield how, "unknown", word
-        elif words[max(i - 1, 0) : i + 2] in (["(", "in", ")"], ["[", "in", "]"]):
-            yield "says", "displacement", "inch"
+        else:
+            yield from _odd(words, i, j, opened)
+
+
+def _odd(
+    words: list[str], i: int, j: int, opened: bool
+) -> Iterator[tuple[str, str, str]]:
+    """A word that is no unit that is read, and yet tells of one."""
+    word, before = words[i], words[j] if j >= 0 else ""
+    if word in _SYSTEMS:
+        how = "says" if _is_kind(before) else "mentions"
+        yield how, "acceleration", _SYSTEMS[word]
+    elif _is_kind(word) and j >= 0 and _multiplied(words, j):
+        yield "says", "unknown", " ".join(words[max(j - 1, 0) : i + 1])
+    elif _UNIT_LIKE.match(word):
+        how = "mentions" if _is_number(before) and not opened else "says"
+        yield how, "unknown", word
+    elif words[max(i - 1, 0) : i + 2] in (["(", "in", ")"], ["[", "in", "]"]):
+        yield "says", "displacement", "inch"
+    elif _bracketed(words, i):
+        yield "mentions", "unknown", word
 
 
 def _unit(
@@ -214,21 +263,41 @@ def _unit(
     word, before = words[i], words[j] if j >= 0 else ""
     kind, unit = QUANTITIES[word]
     compound = "/" in word or "%" in word or word[-1].isdigit()
-    if _SCALES.match(before):
+    if j >= 0 and _multiplied(words, j):
+        yield "says", "unknown", " ".join(words[max(j - 1, 0) : i + 1])
+    elif _SCALES.match(before):
         yield "says", "unknown", f"{before} {word}"
     elif _scaled(words, i):
         yield "says", "unknown", " ".join(words[i : i + 3])
     elif _is_number(before):
         outer = words[j - 1] if j else ""
-        label = words[j - 2] if j > 1 else ""
-        if outer in _OPENING and _is_kind(label) and float(before) != 1.0:
-            yield "says", "unknown", f"{before} {word}"  # acceleration (0.01 g)
+        if kind == "acceleration" and float(before) != 1.0 and _of_samples(words, j):
+            # acceleration (0.01 g), in 0.01 g; "acceleration, 0.01 g" may be a peak
+            how = "says" if outer in (*_OPENING, "in") else "mentions"
+            yield how, "unknown", f"{before} {word}"
         else:
             # "column 2 (g)" says, "PGA = 0.3 (g)" mentions
             a_value = "." in before or outer in _PEAKS or not opened
             yield "mentions" if a_value else "says", kind, unit
     elif compound or of_kind or (opened and _closed(words, i)):
         yield "says", kind, unit
+
+
+def _of_samples(words: list[str], j: int) -> bool:
+    """Whether a number stands behind a quantity that is not one of its peaks."""
+    k = j - 1
+    while k >= 0 and words[k] in (*_INTRODUCING, ",", "units", "unit"):
+        k -= 1
+    accelerations = k >= 0 and _KINDS["acceleration"].match(words[k])
+    return bool(accelerations) and not set(_PEAKS) & set(words[:k])
+
+
+def _bracketed(words: list[str], i: int) -> bool:
+    """Whether a word that is nothing known stands in brackets behind a quantity."""
+    behind = i > 1 and words[i - 1] in _OPENING and _is_kind(words[i - 2])
+    return behind and not (
+        _is_number(words[i]) or words[i] in _INTRODUCING or words[i] in TIMES
+    )
 
 
 def _closed(words: list[str], i: int) -> bool:
