@@ -4,6 +4,7 @@ import importlib.util
 import json
 import math
 import os
+import shlex
 import subprocess
 import sys
 
@@ -68,6 +69,21 @@ def test_help_waits_for_nothing_heavy():
     )
     assert "simulate" in out
     assert out.rstrip().endswith("[]")
+
+
+@pytest.mark.parametrize("command", ["steady", "family", "fit", "monte-carlo"])
+def test_examples_of_help_can_be_copied(command):
+    """A line of the shell, with its continuation, and no marks of the docstring."""
+    text = rollkane_with(command, "--help").output
+    assert "\\b" not in text
+    assert "\b" not in text
+    (at,) = (i for i in [text.find(f"\n  rollkane {command} ")] if i >= 0)
+    example = text[at:].lstrip().split("\n\n")[0]
+    words = shlex.split(example.replace("\\\n", " "))
+    assert "\\" not in "".join(words)
+    assert "\n" not in example.replace("\\\n", " ")  # or the shell ends it there
+    options = {name for x in main.commands[command].params for name in x.opts}
+    assert {word for word in words if word.startswith("--")} <= options
 
 
 def test_scenes_and_schema_do_not_wait_for_jax():

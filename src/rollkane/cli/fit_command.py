@@ -116,14 +116,14 @@ def fit(
     quiet: bool,
     **options: Any,
 ) -> None:
-    r"""Find numbers of SCENE in DATA, a CSV or NetCDF file of samples.
+    """Find numbers of SCENE in DATA, a CSV or NetCDF file of samples.
 
     SCENE is a built-in scene or a TOML file; its values are the first guess, its start
     holds at the first sample that is used. DATA says how long it runs: SCENE's events,
     duration, outputs and second_contact are not used.
 
     \b
-    rollkane fit rattleback run.csv --gyro wx,wy,wz --sigma gyro=0.02 \
+    rollkane fit rattleback run.csv --gyro wx,wy,wz --sigma gyro=0.02 \\
         --free body.inertia --free start.angular_velocity --report fit.html
 
     Exit code 0: done; 2: bad input, nothing written; 3: it did not converge, what was

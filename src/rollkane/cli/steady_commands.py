@@ -53,7 +53,7 @@ def steady(
     force: bool,
     quiet: bool,
 ) -> None:
-    r"""Find the steady motion of SCENE near its start, and its stability.
+    """Find the steady motion of SCENE near its start, and its stability.
 
     \b
     rollkane steady rolling-disc --hold speed=1.5 --hold tilt
@@ -119,7 +119,7 @@ def family(
     force: bool,
     quiet: bool,
 ) -> None:
-    r"""Follow the steady motions of SCENE through a range of a number.
+    """Follow the steady motions of SCENE through a range of a number.
 
     \b
     rollkane family rolling-disc --vary start.spin=1:20 --plot disc.png

@@ -57,7 +57,7 @@ def monte_carlo(
     quiet: bool,
     **options: Any,
 ) -> None:
-    r"""Run STUDY, a TOML file of what varies and what is looked at.
+    """Run STUDY, a TOML file of what varies and what is looked at.
 
     \b
     rollkane monte-carlo study.toml --size 100000 --store study.zarr
