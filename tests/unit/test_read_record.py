@@ -142,6 +142,10 @@ def test_netcdf(tmp_path):
     assert "'pounds'" in words
     assert "of column 'force'" in words
     assert "N, kN, mN" in words
+    for name in ("run.NC4", "run.h5", "run.hdf5"):  # as --out writes it, too
+        (tmp_path / name).write_bytes(path.read_bytes())
+        again = rk.read_record(tmp_path / name, **gyro)
+        np.testing.assert_array_equal(again.time, TIMES)
     (tmp_path / "no.nc").write_text("t,wx\n")
     assert "cannot be read" in refusal(tmp_path / "no.nc", **gyro)
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ..validation.checks import FieldError
 from .accelerogram_lines import Lines
+from .file_endings import NETCDF, ending
 
 READER = "read_record"
 _MISSING = {"", "nan"}  # cells without a sample, in any case
@@ -89,7 +90,8 @@ def table_of(source: Any) -> Table:
 
     Args:
         source: Path of a CSV file (comma, semicolon or tab; a header row; comments
-            behind #) or of a NetCDF file (``.nc``); or anything with ``columns``.
+            behind #) or of a NetCDF file (``.nc``, ``.nc4``, ``.h5``, ``.hdf5``);
+            or anything with ``columns``.
 
     Raises:
         FieldError: it cannot be read, or has no rows.
@@ -97,7 +99,7 @@ def table_of(source: Any) -> Table:
     """
     if hasattr(source, "columns"):
         return _of_frame(source)
-    if str(source).endswith(".nc"):
+    if ending(source) in NETCDF:
         return _of_netcdf(source)
     return _of_csv(source)
 

@@ -73,9 +73,9 @@ def read_record(
     with # are comments, empty cells and "nan" missing samples.
 
     Args:
-        path: File (``.nc``: NetCDF), or anything with ``columns`` and ``[name]``, as a
-            pandas ``DataFrame``. Of a NetCDF variable of two dimensions the columns are
-            ``name_x`` and so on.
+        path: File (``.nc``, ``.nc4``, ``.h5``, ``.hdf5``: NetCDF), or anything with
+            ``columns`` and ``[name]``, as a pandas ``DataFrame``. Of a NetCDF variable
+            of two dimensions the columns are ``name_x`` and so on.
         time: Column of times [s], increasing.
         sigma: Standard deviation of the noise by channel [rad/s, m/s^2, m, rad, N],
             one number or one for each column; left out, a fit estimates it.
