@@ -179,12 +179,19 @@ def test_infinities_are_missing_and_poison_nothing():
     assert "not finite in 3 members" in str(found)
 
 
+def test_of_an_event_that_never_came_there_is_no_least_and_no_most():
+    found = fed({"x": np.full((4, 1), np.nan)}, np.ones(4, bool))
+    assert np.isnan([found.minimum["x"], found.maximum["x"]]).all()
+    assert "inf" not in str(found).replace("infinite", "")
+
+
 def test_before_the_first_member():
     found = Statistics()
     assert (found.count, found.failed, found.mean, found.names) == (0, 0, {}, ())
     assert str(found) == "0 members, none failed"
     found.add({"x": np.zeros(0), "b": np.zeros(0, bool)}, np.zeros(0, bool))
-    assert np.isnan(found.mean["x"])
+    for none in (found.mean, found.minimum, found.maximum):
+        assert np.isnan(none["x"])
     assert np.isnan(found.quantile("x", 0.5)).all()
     assert found.histogram("x").counts.size == 0
     assert found.interval("b") == found.bounds("b") == (0.0, 1.0)

@@ -155,13 +155,15 @@ class Statistics:
 
     @property
     def minimum(self) -> dict[str, Any]:
-        """Smallest value of each number [its unit], infinite without any."""
-        return self._numbers(self._now.moments.minimum)
+        """Smallest value of each number [its unit], NaN without any."""
+        moments = self._now.moments
+        return self._numbers(np.where(moments.count > 0, moments.minimum, np.nan))
 
     @property
     def maximum(self) -> dict[str, Any]:
-        """Largest value of each number [its unit], infinite without any."""
-        return self._numbers(self._now.moments.maximum)
+        """Largest value of each number [its unit], NaN without any."""
+        moments = self._now.moments
+        return self._numbers(np.where(moments.count > 0, moments.maximum, np.nan))
 
     @property
     def covariance(self) -> np.ndarray:
