@@ -223,6 +223,25 @@ BAD = {
         SPIN + "orientation = [1, 1, 0, 0]\n",
         ("base.motion.orientation", "unit length", "divide"),
     ),
+    **{
+        f"{name} = {value}": (
+            BASE + f'kind = "functions"\n{name} = {value}\n',
+            (f"base.motion.{name}", "must be a list", ""),
+        )
+        for name in ("position", "rotations")
+        for value in ("0.5", "true", "1979-05-27", '"t"')
+    },
+    **{
+        f"a parameter {word}": (
+            FUNCTIONS.replace("a = 0.5", f"a = 0.5, {word} = 1.0"),
+            (f"base.motion.parameters.{word}", "not a name for a formula", "another"),
+        )
+        for word in ("lambda", "in", "None")
+    },
+    "a coordinate lambda": (
+        MASSES.replace('["psi", "u"]', '["psi", "lambda"]'),
+        (r"supported\[0\].coordinates\[1\]", "not a name for a formula", "another"),
+    ),
     "neither position nor rotations": (
         BASE + 'kind = "functions"\n',
         ("base.motion", "both missing", "function of time"),

@@ -102,6 +102,12 @@ def test_a_summary_tells_of_each_body(tmp_path):
     ("old", "new", "said"),
     [
         ("carrier = 0", "carrier = 1", "rolling[1].carrier: must be the number of a"),
+        (
+            "[[rolling]]",
+            "[[rolling]]\ncarrier = 0",
+            "rolling[0].carrier: must be the number of a table before this one, got 0 "
+            "— leave it out",
+        ),
         ("carrier = 0", "carrier = -1", "rolling[1].carrier: must be 0 or more"),
         ("radius = 0.25 }", "radius = 0.39 }", "would cut into the base"),
         ("without_spin", "rubber", "rolling[1].rubber: is an unknown name"),

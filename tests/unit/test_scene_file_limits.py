@@ -29,6 +29,10 @@ REFUSED = {
         TEXT + '\n[[loads]]\nkind = "drag"\nlinear = 0.0\n' * 20_000,
         "loads: must have 1000 entries at most, not 20000",
     ),
+    "a number of 5,000 digits": (
+        TEXT.replace("mass = 1.0", f"mass = {'9' * 5000}", 1),
+        "a.toml:.*a whole number of too many digits — write it as 1e300",
+    ),
     "a file of megabytes": (f"# {'x' * 9_000_000}\n{TEXT}", "leave records"),
 }
 
@@ -41,6 +45,11 @@ def test_refused_with_a_sentence(tmp_path, name):
         load_scene(tmp_path / "a.toml")
     assert len(caught.value.problems) == 1
     assert len(str(caught.value)) < 2000  # however long the line
+
+
+def test_a_change_of_too_many_digits_is_no_number():
+    with pytest.raises(SceneFileError, match=r"body\.mass: must be a number"):
+        load_scene("rolling-disc", {"body.mass": "9" * 5000})
 
 
 def test_a_name_that_no_file_can_have():

@@ -71,5 +71,5 @@ def _owner(report: Report, keys: Path) -> Any:
 def _value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except ValueError:  # not TOML, or of more digits than Python reads
         return text

@@ -5,6 +5,7 @@ A formula is read by Python's own parser and then only walked over: numbers, nam
 """
 
 import ast
+import keyword
 import math
 import operator
 import re
@@ -160,6 +161,11 @@ class TurnsFormula:
         for axis, angle in zip(self.axes, angles, strict=True):
             result = matmul(result, about_axis("xyz".index(axis), angle))
         return result
+
+
+def is_name(text: str) -> bool:
+    """Whether a formula can hold a text as the name of a number."""
+    return text.isidentifier() and text.isascii() and not keyword.iskeyword(text)
 
 
 def parse(

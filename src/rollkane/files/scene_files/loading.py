@@ -19,6 +19,8 @@ from .problems import Problem, Report, SceneFileError, nearest
 from .tables import RunTable
 
 _TOO_DEEP = "is nested too deeply", "use fewer brackets"
+_TOO_MANY_DIGITS = "holds a whole number of too many digits", "write it as 1e300"
+_MANY_DIGITS = re.compile(r"[\d_]{1000,}")
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
@@ -232,6 +234,10 @@ def _parsed(report: Report) -> dict[str, Any]:
         report.add_at(offset, problem, remedy)
         report.raise_if_any()
         raise
+    except ValueError as error:  # of more digits than Python reads
+        digits = _MANY_DIGITS.search(report.text)
+        report.add_at(digits.start() if digits else 0, *_TOO_MANY_DIGITS)
+        raise SceneFileError(report.problems) from error
     except RecursionError as error:
         report.add_at(0, *_TOO_DEEP)
         raise SceneFileError(report.problems) from error

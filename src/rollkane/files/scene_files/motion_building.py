@@ -25,6 +25,7 @@ from .formulas import (
     Formula,
     FormulaError,
     TurnsFormula,
+    is_name,
     parse,
 )
 from .moving_tables import MOTIONS, SUPPORTED, FunctionsTable, RecordTable, SpinTable
@@ -58,7 +59,7 @@ def checked_formulas(
     parameters = tuple(given) if isinstance(given, dict) else ()
     for name in parameters:
         taken = name in (*coordinates, *FUNCTIONS, *CONSTANTS)
-        if taken or not (name.isidentifier() and name.isascii()):
+        if taken or not is_name(name):
             problem = "is taken already" if taken else "is not a name for a formula"
             remedy = "use another name of letters, digits and _"
             report.add((*path, "parameters", name), problem, remedy, at_key=True)
@@ -101,8 +102,7 @@ def _spin(table: dict[str, Any], report: Report) -> Spin | None:
 def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, Any]]:
     """Places and texts of a list of formulas, also of rows of them."""
     found: list[tuple[Path, Any]] = []
-    given: list[list[Any] | str] = table.get(name) or []
-    for i, entry in enumerate(given):
+    for i, entry in enumerate(_entries(table, name)):
         if isinstance(entry, list):
             found += [((*path, name, i, j), text) for j, text in enumerate(entry)]
         else:
@@ -110,11 +110,17 @@ def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, An
     return found
 
 
+def _entries(table: dict[str, Any], name: str) -> list[Any]:
+    """Of a list; of anything else, which has been noted, none."""
+    given: Given = table.get(name)
+    return given if isinstance(given, list) else []
+
+
 def _turns(
     path: Path, table: dict[str, Any], coordinates: tuple[str, ...], report: Report
 ) -> TurnsFormula:
-    given: list[list[Any] | str] = table.get("rotations") or []
-    turns = [turn for turn in given if isinstance(turn, list)]
+    given = _entries(table, "rotations")
+    turns: list[list[Any]] = [turn for turn in given if isinstance(turn, list)]
     texts = [
         ((*path, "rotations", i, 1), turn[1] if len(turn) > 1 else None)
         for i, turn in enumerate(turns)
@@ -261,7 +267,7 @@ def _check_names(path: Path, table: dict[str, Any], report: Report) -> None:
     for i, name in enumerate(names if isinstance(names, list) else ()):
         if not isinstance(name, str):
             continue
-        good = name.isidentifier() and name.isascii()
+        good = is_name(name)
         if not good or name in taken:
             problem = "is taken already" if good else "is not a name for a formula"
             remedy = "use another name of letters, digits and _"

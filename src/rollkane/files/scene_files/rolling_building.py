@@ -37,7 +37,10 @@ def rolling_of(report: Report) -> Parts | None:
         carrier: Any = table.get("carrier")
         if isinstance(carrier, int) and carrier >= i:
             problem = "must be the number of a table before this one"
-            report.add(("rolling", i, "carrier"), problem, f"give 0 to {i - 1}")
+            before = (
+                f"give 0 to {i - 1}" if i else "leave it out: the body carries this"
+            )
+            report.add(("rolling", i, "carrier"), problem, before)
         elif made is not None:
             carried.setdefault(carrier, []).insert(0, made)
     if report.has_below(("rolling",)):
