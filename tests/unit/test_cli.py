@@ -71,7 +71,7 @@ def test_help_waits_for_nothing_heavy():
     assert out.rstrip().endswith("[]")
 
 
-@pytest.mark.parametrize("command", ["steady", "family", "fit", "monte-carlo"])
+@pytest.mark.parametrize("command", ["steady", "family", "fit", "monte-carlo", "sweep"])
 def test_examples_of_help_can_be_copied(command):
     """A line of the shell, with its continuation, and no marks of the docstring."""
     text = rollkane_with(command, "--help").output

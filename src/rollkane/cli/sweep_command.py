@@ -81,16 +81,16 @@ def sweep(
     verbose: bool,
     **options: Any,
 ) -> None:
-    r"""Run SCENE for ranges of its numbers, as one ensemble.
+    """Run SCENE for ranges of its numbers, as one ensemble.
 
     \b
-    rollkane sweep rattleback --vary "start.angular_velocity[2]=1:8:29" \
+    rollkane sweep rattleback --vary "start.angular_velocity[2]=1:8:29" \\
         --observe spin --observe tilt --out table.csv --plot sweep.png
 
     Of what is observed the table has the last value, the least and the greatest at the
     output times; of each event of SCENE how often it happened, and when first [s]. Exit
-    codes as of simulate; at Ctrl-C the points that were done are
-    kept, the others are "not run".
+    codes as of simulate; at Ctrl-C the points that were done are kept, the others are
+    "not run".
     """
     asked = {"out": out, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
