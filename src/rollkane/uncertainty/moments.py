@@ -39,6 +39,16 @@ class Moments:
         infinite = np.full(entries, np.inf)
         return cls(zeros.astype(int), zeros, zeros, zeros, infinite, -infinite)
 
+    @property
+    def least(self) -> np.ndarray:
+        """Smallest value of each entry, NaN for none, shape (D,)."""
+        return np.where(self.count > 0, self.minimum, np.nan)
+
+    @property
+    def most(self) -> np.ndarray:
+        """Largest value of each entry, NaN for none, shape (D,)."""
+        return np.where(self.count > 0, self.maximum, np.nan)
+
     def add(self, values: np.ndarray) -> "Moments":
         """With more values, shape (D, n), contiguous."""
         finite = np.isfinite(values)

@@ -156,14 +156,12 @@ class Statistics:
     @property
     def minimum(self) -> dict[str, Any]:
         """Smallest value of each number [its unit], NaN without any."""
-        moments = self._now.moments
-        return self._numbers(np.where(moments.count > 0, moments.minimum, np.nan))
+        return self._numbers(self._now.moments.least)
 
     @property
     def maximum(self) -> dict[str, Any]:
         """Largest value of each number [its unit], NaN without any."""
-        moments = self._now.moments
-        return self._numbers(np.where(moments.count > 0, moments.maximum, np.nan))
+        return self._numbers(self._now.moments.most)
 
     @property
     def covariance(self) -> np.ndarray:

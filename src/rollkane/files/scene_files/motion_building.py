@@ -110,17 +110,17 @@ def _listed(path: Path, name: str, table: dict[str, Any]) -> list[tuple[Path, An
     return found
 
 
-def _entries(table: dict[str, Any], name: str) -> list[Any]:
+def _entries(table: dict[str, Any], name: str) -> list[list[Any] | str]:
     """Of a list; of anything else, which has been noted, none."""
     given: Given = table.get(name)
-    return given if isinstance(given, list) else []
+    return cast(list[list[Any] | str], given) if isinstance(given, list) else []
 
 
 def _turns(
     path: Path, table: dict[str, Any], coordinates: tuple[str, ...], report: Report
 ) -> TurnsFormula:
     given = _entries(table, "rotations")
-    turns: list[list[Any]] = [turn for turn in given if isinstance(turn, list)]
+    turns = [turn for turn in given if isinstance(turn, list)]
     texts = [
         ((*path, "rotations", i, 1), turn[1] if len(turn) > 1 else None)
         for i, turn in enumerate(turns)
