@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any, get_origin
+from typing import Any, cast, get_origin
 
 import diffrax as dfx
 
@@ -59,7 +59,8 @@ def _check_fits(field: str, value: Any) -> None:
     """Refuse an object of diffrax's that cannot integrate one vector field here."""
     problem = remedy = ""
     if isinstance(value, dfx.AbstractSolver):
-        terms = getattr(value, "term_structure", dfx.AbstractTerm)
+        solver = cast("dfx.AbstractSolver[Any]", value)
+        terms = getattr(solver, "term_structure", dfx.AbstractTerm)
         terms = get_origin(terms) or terms
         if not (isinstance(terms, type) and issubclass(dfx.ODETerm, terms)):
             problem = "is for several terms, and a motion has one right-hand side"
