@@ -186,6 +186,34 @@ def test_what_depends_on_time_is_told():
         found["turn about z"]
 
 
+def late(t, point):
+    del point
+    return jnp.stack([jnp.where(t > 5.0, 0.5, 0.0), 0.0 * t, 0.0 * t])
+
+
+def brief(t, point):
+    del point
+    return jnp.stack([jnp.where((t > 60.0) & (t < 65.0), 0.5, 0.0), 0.0 * t, 0.0 * t])
+
+
+@pytest.mark.parametrize("force", [late, brief])
+def test_a_force_that_is_constant_near_time_zero_is_told(force):
+    """No derivative by time tells of it, since it is constant on both sides."""
+    scene = rk.Scene(EGG, loads=(rk.Gravity(), rk.Force(force)))
+    found = symmetries(scene)
+    assert found.drift is None
+    assert "turn about z" not in found  # at no time but before it
+    assert "translation x" in found
+
+
+def test_a_record_that_begins_at_rest_is_told():
+    motion = np.zeros((201, 3))
+    motion[100:, 0] = np.sin(np.arange(101) * 0.05)
+    record = rk.RecordedMotion(np.arange(201) * 0.1, motion)
+    scene = rk.Scene(EGG, rk.Base(motion=record))
+    assert symmetries(scene).drift is None
+
+
 SIZES = {
     "egg on a plane": 8,
     "potato under rubber": 7,

@@ -1,5 +1,6 @@
 """Whether equations keep their form under a group: Lie brackets at random states."""
 
+from collections.abc import Callable
 from typing import Any, cast
 
 import jax
@@ -13,10 +14,11 @@ from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import norm
 from ..kinematics.coordinates import SlidingState, State, pack, shared_parts, unpack
-from .group_actions import Action, base_turn, tangent
+from .group_actions import Action, base_turn, carried_by, carrying_with, tangent
 from .surface_motions import null_space, seeds
 
 _STATES = 16  # random ones at which equations are compared
+_FEW = 4  # of them, where the same is compared at many times
 
 
 def random_draws(scene: Scene, dtype: np.dtype[Any]) -> tuple[Array, State]:
@@ -91,6 +93,49 @@ def brackets_of(
         return (ahead - back).T, _sizes(y, f, jnp.abs(ahead) + jnp.abs(back))
 
     return jax.vmap(at)(times, states)
+
+
+def carried_rates(
+    scene: Scene, drift: Action, times: np.ndarray, states: State
+) -> np.ndarray:
+    """Rates of states that time carries along, in parts that turns leave alone.
+
+    Args:
+        scene: What rolls on what.
+        drift: What time does beside carrying states along with the base.
+        times: [s], shape (T,).
+        states: Any, stacked.
+
+    Returns:
+        Those, and sizes that they are told beside, shape (T, states, 2, y).
+    """
+    some: Callable[[Array], Array] = lambda part: part[:_FEW]
+    few = jax.tree.map(some, states)
+    return np.asarray(_carried_rates(scene, drift, jnp.asarray(times), few), float)
+
+
+@for_one_call
+def _carried_rates(scene: Scene, drift: Action, times: Array, states: State) -> Array:
+    def at(t: Array, state: State) -> Array:
+        zero = jnp.zeros_like(t)
+        y = cast(State, consistent(scene, zero, state))
+        y = carried_by(scene, zero, t, y, drift)
+        f = cast(State, rolling_derivative(scene, t, y))
+        along = carrying_with(scene, t, y, drift)
+        less: Callable[[Array, Array], Array] = lambda a, b: a - b
+        own = cast(State, jax.tree.map(less, f, along))
+        sizes = unpack(_sizes(y, own, jnp.zeros((1, pack(y).shape[0]))), y)
+        both: list[Array] = []
+        for one in (own, sizes):
+            parts = [one.angular_velocity, one.contact_on_base, one.contact_on_body]
+            parts += [one.alpha, one.alpha_dot]
+            if isinstance(one, SlidingState):
+                parts.append(norm(one.slip)[None])
+            both.append(jnp.concatenate(parts))
+        return jnp.stack(both)
+
+    over = jax.vmap(at, (None, 0))
+    return jax.vmap(over, (0, None))(times, states)
 
 
 def _sizes(state: State, rates: State, terms: Float[Array, "K y"]) -> Array:

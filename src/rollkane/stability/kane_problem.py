@@ -17,6 +17,7 @@ from ..kinematics.coordinates import pack
 from ..validation.checks import FieldError
 from .problem import AbstractProblem
 from .surface_motions import LOOSE, echelon, null_space
+from .time_dependence import differing, uses_time, wide_times
 
 _STATES, _SPREAD = 12, 0.3  # random ones, and how far from the guess
 _NEWTON = 8  # steps to the configuration, from beside it
@@ -41,6 +42,10 @@ class KaneProblem(AbstractProblem):
         q = tuple(f"q[{k}]" for k in self.system.independent_coordinates)
         u = tuple(f"u[{k}]" for k in range(len(self.system.independent)))
         return q + u, (False,) * len(q) + (True,) * len(u)
+
+    def sizes(self, state: Any) -> tuple[np.ndarray, float]:
+        """One of its unit each, since nothing is known of these."""
+        return np.ones(len(self.coordinates(state)[0])), 0.0
 
     def moved(self, state: Any, x: Float[Array, " n"]) -> KaneState:
         """The state at coordinates x around another, on its configuration."""
@@ -147,11 +152,13 @@ def kane_problem(system: KaneSystem, guess: Any) -> tuple[KaneProblem, KaneState
     def near(y: Array) -> Array:
         return y[None] + _SPREAD * draw.standard_normal((_STATES, y.shape[0]))
 
-    found = _brackets(system, laws, KaneState(near(state.q), near(state.u)))
+    states = KaneState(near(state.q), near(state.u))
+    found = _brackets(system, laws, states)
     brackets, in_time, sizes = (np.asarray(x, float) for x in found)
     good = np.all(np.isfinite(brackets), axis=(1, 2))
     scale = np.max(sizes[good], axis=0, initial=1e-300)
-    if np.any(np.abs(in_time[good]) > LOOSE[8] * scale):
+    steady = not np.any(np.abs(in_time[good]) > LOOSE[8] * scale)
+    if not steady or _changes(system, states):
         problem = "depends on time"
         remedy = "leave out loads and motions that are functions of time"
         raise FieldError("steady_motion.scene", "a KaneSystem", problem, remedy)
@@ -160,6 +167,25 @@ def kane_problem(system: KaneSystem, guess: Any) -> tuple[KaneProblem, KaneState
     names = tuple(_name(row, n) for row in kept)
     whole = jnp.asarray(np.tensordot(kept, laws, 1))
     return KaneProblem(group=names, system=system, laws=whole), state
+
+
+def _changes(system: KaneSystem, states: KaneState) -> bool:
+    """Whether rates of some states at other times are not those at zero."""
+    one = KaneState(states.q[0], states.u[0])
+    if not uses_time(kane_derivative, system, one):
+        return False
+    return bool(differing(np.asarray(_over_time(system, wide_times(), states))).size)
+
+
+@for_one_call
+def _over_time(system: KaneSystem, times: Array, states: KaneState) -> Array:
+    def at(t: Array, state: KaneState) -> Array:
+        y = KaneState(configured(system, state.q), state.u)
+        rates = pack(kane_derivative(system, t, y))
+        return jnp.stack([rates, jnp.full_like(rates, jnp.max(jnp.abs(rates)))])
+
+    over = jax.vmap(at, (None, 0))
+    return jax.vmap(over, (0, None))(times, states)
 
 
 def _affine_motions(n: int) -> np.ndarray:

@@ -18,12 +18,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import refuse_rolling_parts
+from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced
-from .equivariance import brackets_of, equivariant, random_draws
+from .equivariance import brackets_of, carried_rates, equivariant, random_draws
 from .group_actions import Action, carried_by, carrying_with, moved_by, tangent
 from .surface_motions import LOOSE, SurfaceMotions, echelon, surface_motions
+from .time_dependence import differing, uses_time, wide_times
 
 
 class Symmetries(eqx.Module):
@@ -180,6 +182,16 @@ def _symmetries(scene: Scene) -> Symmetries:
     brackets, sizes = (np.asarray(x) for x in brackets_of(scene, action, *draws))
     null = equivariant(brackets, sizes, LOOSE[dtype.itemsize])
     free, drift = _parted(null)
+    others = np.zeros(0)
+    if drift is not None:
+        others = _unsteady(scene, action.combined(drift[None]), draws[1])
+    if others.size:  # at times that the draws were not at, so that they are compared
+        times = jnp.asarray(np.resize(others, draws[0].shape), dtype)
+        more = [np.asarray(x) for x in brackets_of(scene, action, times, draws[1])]
+        brackets = np.concatenate([brackets, more[0]])
+        sizes = np.concatenate([sizes, more[1]])
+        null = equivariant(brackets, sizes, LOOSE[dtype.itemsize])
+        free, drift = _parted(null)[0], None
     rows = echelon(free)
     labels = [*_base_names(base), *_body_names(body)]
     labels += [f"alpha[{k}]" for k in range(scene.coordinate_count)]
@@ -190,6 +202,21 @@ def _symmetries(scene: Scene) -> Symmetries:
         None if drift is None else action.combined(drift[None]),
         np.asarray(rows[:, : counts[0]] @ base.twists, dtype),
     )
+
+
+def _unsteady(scene: Scene, drift: Action, states: State) -> np.ndarray:
+    """Times [s] at which the rates are not those at zero, carried along."""
+    first: Callable[[Array], Array] = lambda part: part[0]
+    one = jax.tree.map(first, states)
+    if not uses_time(rolling_derivative, scene, one):
+        return np.zeros(0)
+    motion = scene.base.motion
+    times = wide_times()
+    if motion is not None:
+        times = wide_times(motion.kinks, motion.span)
+    found = differing(carried_rates(scene, drift, times, states))
+    spread = found[np.linspace(0, found.size - 1, min(found.size, 16)).astype(int)]
+    return times[spread]
 
 
 def _candidates(
