@@ -15,7 +15,7 @@ import numpy as np
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
 from ..validation.codes import Code, reason_of
-from .independent_coordinates import IndependentCoordinates
+from .independent_coordinates import VELOCITIES, IndependentCoordinates, alike
 from .neutral import FLOW, Neutral, neutral
 from .shooting import (
     Closing,
@@ -118,25 +118,18 @@ def coordinates_of(shot: Shooting, state: State) -> IndependentCoordinates:
 def scales(around: IndependentCoordinates, period: float) -> np.ndarray:
     """Changes of the independent coordinates that are alike, shape (n,).
 
-    A radian, on a plane a radius of gyration, velocities that go it in T / 2 pi.
+    As of ``alike``, with velocities that go it in T / 2 pi.
     """
-    scene = around.scene
-    inertia = float(np.trace(np.asarray(scene.body.inertia)))
-    length = float(np.sqrt(inertia / (2.0 * float(scene.body.mass))))
-    if not length > 0.0:
-        length = 1.0
     rate = 2.0 * np.pi / period
-    size = {"contact on base": length if scene.base.surface.is_flat else 1.0}
-    size |= {"angular velocity": rate, "alpha rate": rate, "slip": length * rate}
-    parts = [np.full(k, size.get(name, 1.0)) for name, k in around.sizes.items()]
-    return np.concatenate(parts)
+    fast = [np.full(k, name in VELOCITIES) for name, k in around.sizes.items()]
+    return alike(around) * np.where(np.concatenate(fast), rate, 1.0)
 
 
 def linearized(shot: Shooting, nodes: Nodes, held: tuple[Held, ...]) -> Linear:
     """All equations at some nodes, and their derivatives.
 
     Raises:
-        FieldError: a segment whose run ends early.
+        FieldError: a segment whose run ends early, or has no finite derivatives.
     """
     closed = closing(shot, nodes)
     targets = (*nodes.states[1:], closed.target)
@@ -173,6 +166,10 @@ def linearized(shot: Shooting, nodes: Nodes, held: tuple[Held, ...]) -> Linear:
     bordered, wanted, _ = borders(shot, nodes, held, size, unknowns)
     rows = np.concatenate([rows / tiled[:, None], phases, bordered])
     miss = np.concatenate([miss, np.zeros(phases.shape[0]), wanted])
+    if not (np.isfinite(rows).all() and np.isfinite(miss).all()):
+        problem = "makes a run that grows beyond all numbers within the period"
+        remedy = "give more segments, or a guess that moves less or for a shorter time"
+        raise FieldError("periodic_motion.guess", "...", problem, remedy)
     flow = None if shot.driven else known.flow
     return Linear(miss, rows, segments, closed, known, sizes, flow)
 

@@ -28,6 +28,8 @@ from ..validation.checks import FieldError
 # below this share of the largest singular value a direction is no direction: the
 # square root of the rounding, as of any rank decision with columns of unit length
 _RANK = {8: 1e-8, 4: 1e-4}
+# Parts of the coordinates that are velocities.
+VELOCITIES = "angular velocity", "alpha rate", "slip"
 
 
 class IndependentCoordinates(eqx.Module):
@@ -191,6 +193,54 @@ def independent_coordinates(
     made = IndependentCoordinates(scene, t, cast(State, consistent(scene, t, state)))
     refuse_rank(np.asarray(_basis(made)))
     return made
+
+
+def alike(around: IndependentCoordinates) -> np.ndarray:
+    """Changes of the coordinates that are alike, velocities in one second, shape (n,).
+
+    A radian; of a contact, what moves it by the body's length or turns the normal by a
+    radian, whichever is less: none of it depends on the units of a scene.
+    """
+    scene, y = around.scene, around.reference
+    length = body_length(scene)
+    size: dict[str, Any] = {"slip": length}
+    places = [("base", scene.base.surface, y.contact_on_base)]
+    if scene.has_contact_coordinates:
+        places.append(("body", scene.body.surface, y.contact_on_body))
+    for owner, surface, u in places:
+        size[f"contact on {owner}"] = _contact_size(surface, u, length)
+    parts = [np.ones(k) * size.get(name, 1.0) for name, k in around.sizes.items()]
+    return np.concatenate(parts)
+
+
+def body_length(scene: Scene) -> float:
+    """Radius of gyration of the body [m], for like lengths; 1 of one without any."""
+    mass = float(scene.body.mass)
+    moment = float(np.trace(np.asarray(scene.body.inertia)))
+    if mass > 0.0 and moment > 0.0:
+        return float(np.sqrt(moment / (2.0 * mass)))
+    arm = float(np.linalg.norm(np.asarray(scene.body.center_of_mass)))
+    return arm if arm > 0.0 else 1.0
+
+
+def _contact_size(surface: AbstractSurface, u: Array, length: float) -> np.ndarray:
+    if surface.is_flat:
+        return np.full(2, length)
+    slopes = np.asarray(_place_slopes(surface, u), float)
+    moved, turned = np.linalg.norm(slopes.reshape(2, 3, 2), axis=1)
+    far = moved / length + turned
+    good = np.isfinite(far) & (far > 0.0)  # of a state without coordinates: refused
+    return np.where(good, 1.0 / np.where(good, far, 1.0), 1.0)
+
+
+@for_one_call
+def _place_slopes(surface: AbstractSurface, u: Array) -> Float[Array, "6 2"]:
+    """Derivatives of point and normal by the local coordinates."""
+
+    def place(x: Array) -> Array:
+        return jnp.concatenate(_place(surface, surface.neighbour(u, x)))
+
+    return cast(Array, jax.jacfwd(place)(jnp.zeros(2, u.dtype)))
 
 
 def refuse_kind(scene: Scene, state: Any) -> None:

@@ -29,6 +29,9 @@ _SHORTEST = 1e-6
 # does not change a step that counts, of a value above 1e-2, by 1% of it; with more a
 # step is a millionth of what is asked for, and gets nowhere.
 _LEAST, _MOST = 1e-6, 1e6
+# Of the fastest small motion, where nothing moves by itself: what a slow one may be of.
+# Rounding beside the fastest, 1e-16, is then 1e-11 of a slow one and still no motion.
+_AT_REST = 1e-5
 # Of steps that equations still ask for [1]: where they settle, some 50 roundings of
 # numbers of order one.
 ROUNDING = 1e-14
@@ -84,8 +87,11 @@ class Point(NamedTuple):
         xi: Group velocities, shape (K,).
         p: Parameter.
         local: The problem around it.
-        size: What coordinates are measured by, velocities by the angular velocity,
-            shape (n,).
+        size: What coordinates are measured by: changes that are alike, velocities in
+            1 / ``rate``, shape (n,).
+        rate: Of the motion, or that with which weight makes one [1/s].
+        least: What terms of the linear model that cancel are of, at least [1/s].
+        pace: What group velocities are measured by, shape (K,).
         group: Where the group moves it.
     """
 
@@ -94,6 +100,9 @@ class Point(NamedTuple):
     p: float
     local: LocalModel
     size: np.ndarray
+    rate: float
+    least: float
+    pace: np.ndarray
     group: Directions
 
 
@@ -119,14 +128,17 @@ def _directions(local: LocalModel, size: np.ndarray) -> Directions:
     return Directions(moved, echelon(idle / np.linalg.norm(idle, axis=1)[:, None]))
 
 
-def followed(local: LocalModel) -> np.ndarray:
+def followed(point: Point) -> np.ndarray:
     """Group velocities along a family by x, shape (K, n): ``A x = G dxi`` there."""
-    return pseudo_inverse(local.groups) @ local.slope
+    return along_group(point, point.local.slope)
 
 
-def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Moore and Penrose's inverse, by rank."""
-    return cast(np.ndarray, np.linalg.pinv(matrix, rcond=SMALL))
+def along_group(point: Point, rates: np.ndarray) -> np.ndarray:
+    """Group velocities that come nearest to rates of the coordinates, (K, ...)."""
+    groups = point.local.groups / point.size[:, None]
+    unit = point.rate / point.pace
+    inverse = cast(np.ndarray, np.linalg.pinv(groups / unit, rcond=SMALL))
+    return ((inverse / unit[:, None]) / point.size) @ rates
 
 
 def program_of(asked: Asked) -> LocalProgram:
@@ -144,9 +156,33 @@ def point_at(
 ) -> Point:
     """The point at a step from a state."""
     there, local = program(state, step, xi, p)
-    quick = max(1.0, float(np.abs(xi).max(initial=0.0)))
-    size = np.where(asked.fast, quick, 1.0)
-    return Point(there, xi, p, local, size, _directions(local, size))
+    size, rate, least = _measures(asked, there, local)
+    length = np.linalg.norm(local.groups / size[:, None], axis=0)
+    moves = np.isfinite(length) & (length > 0.0)
+    pace = rate / np.where(moves, length, 1.0)
+    group = _directions(local, size)
+    return Point(there, xi, p, local, size, rate, least, pace, group)
+
+
+def _measures(
+    asked: Asked, state: Any, local: LocalModel
+) -> tuple[np.ndarray, float, float]:
+    """Sizes of changes that are alike, the rate of velocities, and that of terms.
+
+    That of the motion or of weight, whichever is faster; where there is neither, the
+    fastest of small motions: so that none depends on the units of length and time.
+    """
+    size, rate = asked.problem.sizes(state)
+    fast = np.asarray(asked.fast, bool)
+    rates: np.ndarray = np.abs(local.rates / size)
+    moves = float(rates[~fast].max(initial=rate))
+    share = 1.0
+    if moves == 0.0 and np.isfinite(local.slope).all():
+        small: np.ndarray = np.abs(np.linalg.eigvals(local.slope))
+        moves = float(small.max(initial=0.0))
+        share = _AT_REST
+    rate = moves if np.isfinite(moves) and moves > 0.0 else rate or 1.0
+    return np.where(fast, size * rate, size), rate, share * rate
 
 
 def mismatch(asked: Asked, point: Point) -> np.ndarray:
@@ -169,6 +205,7 @@ def equations(asked: Asked, point: Point) -> tuple[np.ndarray, np.ndarray]:
     rows = np.zeros((n + r + idle + q, n + K + 1))
     rows[:n, :n], rows[:n, n:-1] = local.slope, -local.groups
     rows[:n, -1] = local.by_parameter
+    rows[:n] /= size[:, None]
     rows[n : n + r, :n] = (group.moved / size[:, None]).T
     rows[n + r : n + r + idle, n:-1] = group.idle
     rows[n + r + idle :, :n] = local.held_by_x
@@ -177,10 +214,10 @@ def equations(asked: Asked, point: Point) -> tuple[np.ndarray, np.ndarray]:
     if asked.varied is not None:
         rows[n + r + idle + asked.varied, -1] -= 1.0
     right = np.zeros(rows.shape[0])
-    right[:n] = -local.residual
+    right[:n] = -local.residual / size
     right[n + r + idle :] = -mismatch(asked, point)
     rows[:, :n] *= size[None]
-    rows[:, n:-1] *= size.max()
+    rows[:, n:-1] *= point.pace
     rows[:, -1] *= asked.unit
     length = np.linalg.norm(rows, axis=1)
     length[:n] = np.maximum(length[:n], _SHORTEST * length[:n].max(initial=0.0))
@@ -195,11 +232,13 @@ class Solved(NamedTuple):
         point: There.
         error: Largest of the residuals, each as a step of its own equation [1].
         matrix: The equations' last matrix, scaled.
+        moved: All steps (x, xi, p) from the guess, added.
     """
 
     point: Point
     error: float
     matrix: np.ndarray
+    moved: np.ndarray
 
 
 def solved(
@@ -236,7 +275,7 @@ def solved(
             break
         move = _damped(matrix, right, damping)
         x = move[:n] * point.size
-        own = move[n : n + K] * point.size.max()
+        own = move[n : n + K] * point.pace
         p_next = point.p + (0.0 if border is None else float(move[-1]) * asked.unit)
         trial = point_at(asked, program, point.state, x, point.xi + own, p_next)
         there = _bordered(asked, trial, done + x, xi, p, border)
@@ -252,7 +291,8 @@ def solved(
         if error < SOLVED or damping > _MOST:
             break  # rounding, or nothing helps
         damping = _LEAST if damping == 0.0 else 10.0 * damping
-    return Solved(point, error, matrix)
+    moved = np.concatenate([done, point.xi - xi, [point.p - p]])
+    return Solved(point, error, matrix, moved)
 
 
 def _bordered(
@@ -275,8 +315,7 @@ def _bordered(
 
 def unit_steps(asked: Asked, point: Point) -> np.ndarray:
     """What a unit of each unknown (x, xi, p) of the scaled equations is."""
-    size = point.size
-    return np.concatenate([size, np.full(point.xi.size, size.max()), [asked.unit]])
+    return np.concatenate([point.size, point.pace, [asked.unit]])
 
 
 def _size(right: np.ndarray) -> float:

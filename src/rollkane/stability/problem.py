@@ -13,11 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..dynamics.mass_matrix import field_of
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from .group_actions import Action, carried_by, carrying_with, moved_by, tangent
-from .independent_coordinates import IndependentCoordinates
+from .independent_coordinates import (
+    VELOCITIES,
+    IndependentCoordinates,
+    alike,
+    body_length,
+)
 from .symmetries import Symmetries
 
 
@@ -33,6 +39,15 @@ class AbstractProblem(eqx.Module):
     @abc.abstractmethod
     def coordinates(self, state: Any) -> tuple[tuple[str, ...], tuple[bool, ...]]:
         """Names of the n independent coordinates, and which of them are velocities."""
+
+    @abc.abstractmethod
+    def sizes(self, state: Any) -> tuple[np.ndarray, float]:
+        """Changes of the coordinates that are alike, and a rate that goes with them.
+
+        Returns:
+            Shape (n,), of velocities in one second; and a rate of the system at rest
+            [1/s], zero where none is known.
+        """
 
     @abc.abstractmethod
     def moved(self, state: Any, x: Float[Array, " n"]) -> Any:
@@ -88,10 +103,16 @@ class RollingProblem(AbstractProblem):
 
     def coordinates(self, state: Any) -> tuple[tuple[str, ...], tuple[bool, ...]]:
         """Of ``IndependentCoordinates``; velocities: angular, alpha', slip."""
-        fast = "angular velocity", "alpha rate", "slip"
         # whatever the time, of which a zero of NumPy costs nothing
         names = IndependentCoordinates(self.scene, cast(Array, _ZERO), state).names
-        return names, tuple(name.startswith(fast) for name in names)
+        return names, tuple(name.startswith(VELOCITIES) for name in names)
+
+    def sizes(self, state: Any) -> tuple[np.ndarray, float]:
+        """Of ``alike``; and the rate with which weight moves a body of its length."""
+        field = field_of(self.scene.loads)
+        weight = 0.0 if field is None else float(np.linalg.norm(np.asarray(field)))
+        rate = float(np.sqrt(weight / body_length(self.scene)))
+        return alike(self._around(state)), rate
 
     def moved(self, state: Any, x: Float[Array, " n"]) -> Any:
         """The state at coordinates x around another."""

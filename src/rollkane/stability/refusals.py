@@ -47,7 +47,7 @@ def refuse_overheld(asked: Asked, point: Point, family: np.ndarray) -> None:
     if not q:
         return
     local, size = point.local, point.size
-    follow = followed(local)
+    follow = followed(point)
     rows: np.ndarray = local.held_by_x + local.held_by_group @ follow
     length = np.linalg.norm(rows * size[None], axis=1)
     rows = rows / np.where(length > 0.0, length, 1.0)[:, None]
@@ -116,7 +116,7 @@ def refuse_rest_that_is_none(state: Any, first: Point, found: Solved) -> None:
     method leads is there to rounding.
     """
     faster = _faster(first, found.point)
-    moves = _speed(found.point, found.point.size)
+    moves = _speed(found.point, found.point.size) / first.rate
     if faster < _CREEPS and moves > _LEFT * max(found.error, ROUNDING):
         _refuse_creeping(state, found, faster)
 

@@ -5,12 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .local_model import LocalModel
-from .newton import Directions
+from .newton import Point
 
-# Of the norm of a linear model: what is less is zero. Solved to rounding, a model of
-# some 1e3 operations is known to 1e-13 of it.
-_ZERO = 1e-11
+# What rounding of some 1e3 operations leaves open of a column of a linear model, beside
+# what the column's own terms are of: its length, or what the motion alone gives.
+_ROUNDING = 1e3 * np.finfo(float).eps
+# Of columns of unit length by that: what is less is zero. One that is left with more
+# than _CLEAR may as well be slow: solved to rounding, zeros are 1e-14 or less.
+_ZERO, _CLEAR = 1e-11, 1e-12
 # Of columns and rows of unit length: less than that apart they are one direction. Those
 # of the group and of a family are known to 1e-8 (the rank that they were found by), and
 # what tells a family's members apart does so by 1e-4 or more.
@@ -33,6 +35,7 @@ class Spectrum(NamedTuple):
         determinant: Product of the eigenvalues.
         counts: Dimensions of the family, then of steady drifts along it, and so on to
             zero.
+        clear: Whether what counts as zero is so to rounding, and not only slow.
     """
 
     eigenvalues: np.ndarray
@@ -42,6 +45,7 @@ class Spectrum(NamedTuple):
     family: np.ndarray
     determinant: float
     counts: tuple[int, ...]
+    clear: bool
 
     @property
     def unstable(self) -> int:
@@ -50,9 +54,7 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(
-    local: LocalModel,
-    size: np.ndarray,
-    group: Directions,
+    point: Point,
     names: Sequence[str],
     labels: Sequence[tuple[str, np.ndarray]],
     dimensions: tuple[int, ...] | None = None,
@@ -60,9 +62,7 @@ def spectrum(
     """Eigenvalues of the linear model around a steady motion.
 
     Args:
-        local: The problem there.
-        size: What coordinates are measured by, shape (n,).
-        group: Directions of the group.
+        point: The solution.
         names: Of the generators.
         labels: Quantities by which a family is told: names and derivatives by x.
         dimensions: The counts, where they are known; None: by rank.
@@ -70,49 +70,61 @@ def spectrum(
     Source: docs/theory.md, (10.4): the group's directions S and the family's N are
     invariant, ``A S`` in S and ``A N`` in S + N, so that A acts on what is left.
     """
+    local, size, S = point.local, point.size, point.group.moved
     A = local.slope / size[:, None] * size[None]
     n = size.size
-    S = group.moved
-    norm = float(np.linalg.norm(A))
-    left, Q, family, slow, counts = _deflated(A, _complement(S), norm, dimensions)
+    deflated = _deflated(A, _complement(S), point.least, dimensions)
+    left, Q, family, slow, counts, clear = deflated
     values, vectors = _eigen(left)
-    errors = _errors(left, values, vectors, norm)
+    rounding = _ROUNDING * _column_sizes(A, point.least)
+    errors = _errors(left, Q, values, vectors, rounding)
     modes = size[:, None] * (Q @ vectors)
     modes = modes / np.maximum(np.linalg.norm(modes, axis=0), 1e-300)
     family, first = size[:, None] * family, counts[0]
-    zeros = _of_group(local, S, A, size, names)
+    zeros = _of_group(point, A, names)
     told = [f"family: {name}" for name in _labelled(family[:, :first], labels)]
     told += [f"drift {k + 1} along the family" for k in range(family.shape[1] - first)]
     zeros |= {name: complex(v) for name, v in zip(told, slow, strict=True)}
     assert len(zeros) + values.size == n
     product = float(np.linalg.det(left))
     own = family[:, :first]
-    return Spectrum(values, modes, errors, zeros, own, product, counts)
+    return Spectrum(values, modes, errors, zeros, own, product, counts, clear)
 
 
 def _deflated(
     A: np.ndarray,
     basis: np.ndarray,
-    norm: float,
+    least: float,
     dimensions: tuple[int, ...] | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[int, ...]]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[int, ...], bool]:
     """What a matrix is on a basis, without what it takes to zero, again and again.
 
     Returns:
         The matrix that is left and its basis; the directions that went and their
-        eigenvalues, as computed; how many went each time, to none.
+        eigenvalues, as computed; how many went each time, to none; whether they are
+        zero to rounding.
     """
     inner: np.ndarray = basis.T @ A @ basis
-    gone, slow, counts = basis[:, :0], np.zeros(0, complex), (0,) * 0
+    gone, slow, counts, clear = basis[:, :0], np.zeros(0, complex), (0,) * 0, True
     while not counts or counts[-1]:
         known = None if dimensions is None else dimensions[len(counts)]
-        N = _null(inner, norm, known)
+        N, left = _null(inner, least, known)
+        clear = clear and left <= _CLEAR
         counts = (*counts, N.shape[1])
         gone = np.concatenate([gone, basis @ N], axis=1)
         slow = np.concatenate([slow, _eigen(N.T @ inner @ N)[0]])
         rest = _complement(N)
         basis, inner = basis @ rest, rest.T @ inner @ rest
-    return inner, basis, gone, slow, counts
+    return inner, basis, gone, slow, counts, clear
+
+
+def _column_sizes(matrix: np.ndarray, least: float) -> np.ndarray:
+    """What rounding of the columns of a linear model is to be told beside [1/s].
+
+    Their own lengths, not that of the whole: a stiff spring makes no other force less
+    exact. Terms of a column that cancel are of the motion's or the weight's size.
+    """
+    return np.maximum(np.linalg.norm(matrix, axis=0), least)
 
 
 def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -131,44 +143,52 @@ def _complement(S: np.ndarray) -> np.ndarray:
     return np.linalg.qr(S, mode="complete")[0][:, r:] if r else np.eye(n)
 
 
-def _null(matrix: np.ndarray, norm: float, dimensions: int | None) -> np.ndarray:
-    """Orthonormal directions that a matrix leaves at zero, by rank or by number."""
+def _null(
+    matrix: np.ndarray, least: float, dimensions: int | None
+) -> tuple[np.ndarray, float]:
+    """Orthonormal directions that a matrix leaves at zero, by rank or by number.
+
+    And the largest share of its columns that is left in them.
+    """
     if not matrix.size:
-        return np.zeros((matrix.shape[0], 0))
-    _, values, across = np.linalg.svd(matrix)
-    if dimensions is not None:
-        return across[values.size - dimensions :].T
-    return across[values <= _ZERO * norm].T
+        return np.zeros((matrix.shape[0], 0)), 0.0
+    columns = _column_sizes(matrix, least)
+    _, values, across = np.linalg.svd(matrix / columns)
+    count = int(np.sum(values <= _ZERO)) if dimensions is None else dimensions
+    kept = values.size - count
+    found = across[kept:].T / columns[:, None]
+    return np.linalg.qr(found)[0], float(values[kept:].max(initial=0.0))
 
 
 def _errors(
-    matrix: np.ndarray, values: np.ndarray, vectors: np.ndarray, norm: float
+    matrix: np.ndarray,
+    basis: np.ndarray,
+    values: np.ndarray,
+    vectors: np.ndarray,
+    rounding: np.ndarray,
 ) -> np.ndarray:
-    """First-order bounds of rounding: that of the matrix, by each condition number."""
+    """First-order bounds of rounding of the columns, by each eigenvalue's condition."""
     if not values.size:
         return np.zeros(0)
-    rounding = 1e3 * np.finfo(float).eps * norm  # of a matrix from some 1e3 operations
+    # of a multiple eigenvalue the root of the rounding is all that can be said, beside
+    # the fastest rate, also of what would grow but for what turns it
+    fastest = np.sqrt(np.abs(matrix * matrix.T).max())
+    most = 10.0 * np.sqrt(_ROUNDING) * max(float(np.abs(values).max()), float(fastest))
     try:
         dual = np.linalg.inv(vectors)
     except np.linalg.LinAlgError:
-        return np.full(values.size, np.sqrt(rounding * norm))
-    condition = np.linalg.norm(dual, axis=1) * np.linalg.norm(vectors, axis=0)
-    # of a multiple eigenvalue the root of the rounding is all that can be said
-    return np.minimum(rounding * condition, 10.0 * np.sqrt(rounding * norm))
+        return np.full(values.size, most)
+    across = np.linalg.norm(rounding[:, None] * (basis @ vectors), axis=0)
+    return np.minimum(np.linalg.norm(dual, axis=1) * across, most)
 
 
-def _of_group(
-    local: LocalModel,
-    S: np.ndarray,
-    A: np.ndarray,
-    size: np.ndarray,
-    names: Sequence[str],
-) -> dict[str, complex]:
+def _of_group(point: Point, A: np.ndarray, names: Sequence[str]) -> dict[str, complex]:
     """Eigenvalues along the group, each by a generator that has most of it."""
+    S = point.group.moved
     if not S.shape[1]:
         return {}
     values, vectors = np.linalg.eig(S.T @ A @ S)
-    parts = S.T @ (local.groups / size[:, None])
+    parts = S.T @ (point.local.groups / point.size[:, None])
     length = np.linalg.norm(parts, axis=0)
     weights = np.abs(vectors.conj().T @ (parts / np.where(length > 0.0, length, 1.0)))
     chosen = _independent(parts / np.where(length > 0.0, length, 1.0))
@@ -190,7 +210,8 @@ def _independent(columns: np.ndarray) -> list[int]:
         tried = np.linalg.svd(columns[:, [*chosen, j]], compute_uv=False)
         if tried[-1] > _APART:
             chosen.append(j)
-    return chosen[:r]
+    # of generators that are nearly one, far from the axes of turns, any will do
+    return [*chosen, *(j for j in range(count) if j not in chosen)][:r]
 
 
 def _labelled(

@@ -21,10 +21,10 @@ from .newton import (
     Asked,
     Point,
     Solved,
+    along_group,
     followed,
     point_at,
     program_of,
-    pseudo_inverse,
     solved,
 )
 from .problem import AbstractProblem, rolling_problem
@@ -57,6 +57,8 @@ class SteadyMotion:
         errors: How far rounding may move each eigenvalue [1/s], shape (k,).
         stable: Whether no eigenvalue grows, beyond its error: on the imaginary axis
             that is stability of the linear model alone.
+        clear: Whether what counts as zero is so to rounding; where it may as well be
+            slow, the motion is not told stable.
         family: Number of dimensions of the family of steady motions through it.
         problem: What was asked, with its symmetries.
         solution: The solution in independent coordinates.
@@ -72,6 +74,7 @@ class SteadyMotion:
     zeros: dict[str, complex]
     errors: Float[np.ndarray, " k"]
     stable: bool
+    clear: bool
     family: int
     problem: AbstractProblem = dataclasses.field(repr=False)
     solution: Point = dataclasses.field(repr=False)
@@ -100,7 +103,10 @@ class SteadyMotion:
 
     def __str__(self) -> str:
         """What it is, line by line."""
-        rows = [f"steady motion, {'stable' if self.stable else 'unstable'}"]
+        kind = "stable" if self.stable else "unstable"
+        if not self.clear and not np.any(np.real(self.eigenvalues) > self.errors):
+            kind = "stability open: what counts as zero may be slow growth"
+        rows = [f"steady motion, {kind}"]
         rows += [f"  {name:<28}{v:>16.9g}" for name, v in self.generator.items()]
         rows += [f"  held {name:<23}{v:>16.9g}" for name, v in self.held.items()]
         rows += [f"  eigenvalue {_complex(v):>33} 1/s" for v in self.eigenvalues]
@@ -166,11 +172,12 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     program = program_of(asked)
     first = point_at(asked, program, state, np.zeros(len(names)), start, 0.0)
     refuse_rank(first.local.basis)
-    given = zip(values, first.local.held, strict=True)
+    xi = guessed_velocities(first)
+    moving = point_at(asked, program, state, np.zeros(len(names)), xi, 0.0)
+    given = zip(values, moving.local.held, strict=True)
     wanted = [float(own) if v is None else v for v, own in given]
     asked = asked._replace(values=np.array(wanted, float))
     refuse_moving("steady_motion.hold", asked, first)
-    xi = guessed_velocities(first)
     found = solved(asked, state, xi, 0.0, program=program)
     if not found.error < SOLVED:
         refuse_unsolved(asked, state, first, found)
@@ -203,11 +210,7 @@ def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
 
 def guessed_velocities(point: Point) -> np.ndarray:
     """Group velocities that come nearest to the rates of a state."""
-    local, size = point.local, point.size
-    scaled = local.groups / size[:, None]
-    if not scaled.shape[1]:
-        return np.zeros(0)
-    xi = pseudo_inverse(scaled) @ (local.rates / size)
+    xi = along_group(point, point.local.rates)
     for row in point.group.idle:  # the first of those that do the same
         place = int(np.argmax(np.abs(row)))
         xi = xi - xi[place] / row[place] * row
@@ -230,12 +233,23 @@ def motion_of(asked: Asked, found: Solved) -> SteadyMotion:
         coordinates=asked.names,
         zeros=told.zeros,
         errors=told.errors,
-        stable=told.unstable == 0,
+        stable=told.unstable == 0 and told.clear,
+        clear=told.clear,
         family=told.family.shape[1],
         problem=problem,
         solution=point,
         asked=asked,
     )
+
+
+def spectrum_at_rest(scene: Scene, state: Any) -> Spectrum:
+    """Eigenvalues about a state that stays at rest."""
+    problem, state = problem_of(scene, state)
+    names, fast = problem.coordinates(state)
+    asked = Asked(problem, None, (), np.zeros(0), names=names, fast=fast)
+    step, xi = np.zeros(len(names)), np.zeros(len(problem.group))
+    point = point_at(asked, program_of(asked), state, step, xi, 0.0)
+    return spectrum_at(asked, point)
 
 
 def spectrum_at(
@@ -249,8 +263,8 @@ def spectrum_at(
         for q, row in zip(asked.quantities, local.held_by_x, strict=True)
         if q.velocity is None
     ]
-    follow = followed(local)
+    follow = followed(point)
     labels += [(f"velocity of {n}", row) for n, row in zip(names, follow, strict=True)]
     coordinates = asked.names
     labels += list(zip(coordinates, np.eye(len(coordinates)), strict=True))
-    return spectrum(local, point.size, point.group, names, labels, dimensions)
+    return spectrum(point, names, labels, dimensions)
