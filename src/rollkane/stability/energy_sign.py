@@ -24,6 +24,7 @@ from ..dynamics import observables
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import cross, dot, matvec
+from .independent_coordinates import body_length
 from .newton import Asked, Point
 from .problem import RollingProblem
 
@@ -37,8 +38,8 @@ _STATES, _SPREAD = 8, 0.1
 # Of the sizes of both vectors in a rate that has to vanish: rounding of some 1e3
 # operations is 1e-13, and of what is not kept few states give less than 1e-4.
 _KEPT = 1e-9
-# Of the slope of the energy: what no momentum takes off, beside rounding (1e-13) and a
-# steady motion that is solved to 1e-10 of its steps.
+# Of the slope of the energy, or of the unit of energy or momentum: what no momentum
+# takes off, beside rounding (1e-13) and a motion that is solved to 1e-10 of its steps.
 _FIRST = 1e-8
 # Of the largest of the second variation's eigenvalues, of coordinates scaled to a
 # diagonal of ones: second derivatives are known to some 1e-12.
@@ -115,6 +116,27 @@ MOMENTA = (
 )
 
 
+# Of the energy and of each of these: powers of mass, length and rate in its unit.
+_UNITS = np.array(
+    [
+        (1, 2, 2),
+        *((1, 2, 1), (1, 2, 1), (1, 3, 1), (1, 2, 1), (1, 2, 1), (2, 4, 2)),
+        *((0, 0, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1), (1, 2, 1)),
+    ]
+)
+
+
+def _units(problem: RollingProblem, rate: float) -> np.ndarray:
+    """What energy and momenta of the motion are measured by, shape (12,).
+
+    All of its numbers are told beside these, so that none depends on units.
+    """
+    scene = problem.scene
+    mass = float(scene.body.mass) or 1.0
+    own = np.array([mass, body_length(scene), rate])
+    return np.prod(own**_UNITS, axis=1)
+
+
 def _momenta(scene: Scene, t: Array, state: Any) -> Float[Array, "11"]:
     body, contact = scene.body, contact_of(scene, t, state)
     moment = observables.contact_angular_momentum(scene, t, state)
@@ -157,10 +179,12 @@ def energy_sign(
     if not kind:
         return _none("the scene keeps no energy")
     size = point.size
+    units = _units(problem, point.rate)
     slopes = np.asarray(_slopes(problem, kind, point.state), float) * size
+    slopes = slopes / units[:, None]
     kept = [False] * len(MOMENTA)
     if np.linalg.norm(slopes[0]) > _first(slopes):  # at rest no momentum is needed
-        kept = _kept(problem, point, size)
+        kept = _kept(problem, point)
     chosen, weights = _multiples(slopes, kept)
     rest = slopes[0] - weights @ slopes[chosen]
     if np.linalg.norm(rest) > _first(slopes):
@@ -172,7 +196,7 @@ def energy_sign(
     needed = np.zeros(len(MOMENTA) + 1)
     needed[0], needed[chosen] = 1.0, -weights
     rows = np.stack([needed, *_spare(slopes, kept, chosen)])
-    second = _second(problem, kind, any(kept), point.state, rows)
+    second = _second(problem, kind, any(kept), point.state, rows / units)
     seconds = np.asarray(second, float) * size[:, None] * size[None]
     S = point.group.moved
     basis = _complement(np.concatenate([S, slopes[chosen].T], axis=1))
@@ -182,14 +206,19 @@ def energy_sign(
     A = point.local.slope / size[:, None] * size[None]
     signs = _signs(A, Q, _complement(S), eigenvalues, errors)
     momenta = {
-        name: -float(w) for name, w in zip(MOMENTA, weights[1:], strict=True) if w
+        name: -float(w)
+        for name, w in zip(MOMENTA, weights[1:] * units[0] / units[1:], strict=True)
+        if w
     }
-    return EnergySign(kind, momenta, *counts, signs, "")
+    found = EnergySign(kind, momenta, *counts, signs, "")
+    if found.definite and np.any(np.real(eigenvalues) > errors):
+        return _none("rounding hides it: of a motion that grows none is definite")
+    return found
 
 
 def _first(slopes: np.ndarray) -> float:
-    """What a slope of the energy may be that counts as none."""
-    return _FIRST * max(float(np.linalg.norm(slopes, axis=1).max()), 1.0)
+    """What a slope of the energy may be, in its unit, that counts as none."""
+    return _FIRST * max(float(np.linalg.norm(slopes[0])), 1.0)
 
 
 def _values(
@@ -227,39 +256,37 @@ def _second(
 
 
 @for_one_call
-def _changes(
-    problem: RollingProblem, state: Any, steps: Array
-) -> tuple[Array, Array, Array]:
-    """Momenta at states, how they change along flow and group, and how far these go."""
+def _changes(problem: RollingProblem, state: Any, steps: Array) -> tuple[Array, Array]:
+    """Momenta at states, and how they change along flow and group."""
     group = jnp.eye(len(problem.group), dtype=steps.dtype)
 
-    def at(x: Array) -> tuple[Array, Array, Array]:
+    def at(x: Array) -> tuple[Array, Array]:
         y = problem.moved(state, x)
         t = jnp.zeros_like(x[0])
 
-        def told(y: Any) -> tuple[Array, Array]:
-            return _momenta(problem.scene, t, y), problem.image(state, y)
+        def told(y: Any) -> Array:
+            return _momenta(problem.scene, t, y)
 
-        (values, _), along = cast(Any, jax.linearize(told, y))
+        values, along = cast(Any, jax.linearize(told, y))
         generated: Callable[[Array], Any] = lambda xi: problem.generator(y, xi)
         join: _Join = lambda a, b: jnp.concatenate([a[None], b])
         moves = jax.tree.map(join, problem.rates(y), jax.vmap(generated)(group))
-        changes, shifts = jax.vmap(along)(moves)
-        return values, changes, jnp.sqrt(jnp.sum(shifts * shifts, axis=1))
+        return values, cast(Array, jax.vmap(along)(moves))
 
     return jax.vmap(at)(steps)
 
 
-def _kept(problem: RollingProblem, point: Point, size: np.ndarray) -> list[bool]:
+def _kept(problem: RollingProblem, point: Point) -> list[bool]:
     """Which momenta neither the motion nor a symmetry changes, around a state."""
     draw = np.random.default_rng(3)
-    steps = _SPREAD * draw.standard_normal((_STATES, size.size)) * size
+    steps = _SPREAD * draw.standard_normal((_STATES, point.size.size)) * point.size
     found = _changes(problem, point.state, steps)
-    values, changes, shifts = (np.asarray(x, float) for x in found)
+    values, changes = (np.asarray(x, float) for x in found)
+    shifts = np.concatenate([[point.rate], point.rate / point.pace])
     good = np.all(np.isfinite(changes), axis=(1, 2))
     if not np.any(good):
         return [False] * values.shape[1]
-    sizes = np.abs(values[good]).max(axis=0) * shifts[good][:, :, None]
+    sizes = np.abs(values[good]).max(axis=0) * shifts[:, None]
     return np.all(np.abs(changes[good]) <= _KEPT * sizes, axis=(0, 1)).tolist()
 
 
@@ -274,7 +301,7 @@ def _multiples(
     length = np.linalg.norm(slopes, axis=1)
     chosen: list[int] = []
     for k, one in enumerate(kept, 1):
-        if not one or not length[k] > _FIRST * length.max():
+        if not one or not length[k] > _FIRST:
             continue
         unit = slopes[[*chosen, k]] / length[[*chosen, k], None]
         if np.linalg.svd(unit, compute_uv=False)[-1] > _FIRST:
@@ -289,7 +316,7 @@ def _spare(
     length = np.linalg.norm(slopes, axis=1)
     found: list[np.ndarray] = []
     for k, one in enumerate(kept, 1):
-        if not one or k in chosen or not length[k] > _FIRST * length.max():
+        if not one or k in chosen or not length[k] > _FIRST:
             continue
         row = np.zeros(slopes.shape[0])
         row[k] = 1.0
