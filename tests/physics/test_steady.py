@@ -186,6 +186,15 @@ def test_sleeping_tops(name, height, radius, request):
     np.testing.assert_array_equal(branch.stable, branch.values > threshold)
 
 
+@pytest.mark.parametrize("hold", [("turn about z",), {"turn about z": None}])
+def test_a_group_velocity_without_a_value_is_the_guess_s(hold):
+    scene = rk.Scene(rk.Body(1.0, np.diag([2e-3, 3e-3, 4e-3]), rk.Sphere(0.1)))
+    guess = rk.place(scene, UPRIGHT, (0.0, 0.0, 20.0), ORIGIN)
+    motion = rk.steady_motion(scene, guess, hold)
+    assert motion.held == {"turn about z": pytest.approx(20.0, rel=1e-12)}
+    assert float(motion.state.angular_velocity[2]) == pytest.approx(20.0, rel=1e-12)
+
+
 def rattleback(skew):
     inertia = [[2e-4, -skew, 0.0], [-skew, 1.6e-3, 0.0], [0.0, 0.0, 1.7e-3]]
     return rk.Scene(
@@ -451,6 +460,33 @@ def test_rest_in_a_spinning_bowl_and_the_branches_that_leave_it():
 
 
 @pytest.mark.slow
+def uneven_bowl(x, y, p):
+    far = x**2 + y**2
+    return 0.5 * (x**2 + 1.5 * y**2) + 0.3 * far**2 + p["e"] * x
+
+
+def test_long_steps_do_not_jump_from_a_branch_to_its_neighbour():
+    """Where a pitchfork is broken, e from the branch that goes on without a turn.
+
+    On the other side of its rate a ball near the middle is unstable; the branch that
+    begins at rest goes out to one side, through no crossing.
+    """
+    body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    base = rk.Base(rk.Graph(uneven_bowl, {"e": 1e-3}), motion=rk.Spin(1.0))
+    scene = rk.Scene(body, base)
+    guess = rk.place(scene, UPRIGHT, (0.0, 0.0, 1.0), ORIGIN)
+    start = rk.steady_motion(scene, guess).state
+    motion = rk.steady_motion(scene, start, {"spin about z": 0.0})
+    branch = rk.steady_family(scene, motion, "base.motion.rate", (0.5, 3.8), points=20)
+    assert branch.stable.all()
+    assert not branch.critical
+    places = np.array([float(p.state.contact_on_base[0]) for p in branch.points])
+    assert branch.values[-1] == 3.8
+    assert (np.diff(places) < 0.0).all()
+    # of the rest in the rotating bowl, slope = curvature of the circle at 3.8 rad/s
+    assert places[-1] < -0.5
+
+
 def test_a_ball_on_a_turntable_goes_round_two_sevenths_as_fast():
     """Circles about the axis: 2/7 of the table's rate, whatever their radius."""
     rate = 3.0

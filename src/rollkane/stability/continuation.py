@@ -1,16 +1,21 @@
 """Pseudo-arclength continuation of steady motions: one step, and the way along it."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from ..validation.checks import FieldError
-from .branch import BranchPoint
+from .branch import BranchPoint, Critical
 from .newton import SMALL, Asked, Point, Solved, equations, solved, unit_steps
-from .refusals import told
+from .refusals import told as told_of
 from .steady import SOLVED, spectrum_at
 
 _TURN = 0.95  # least cosine between tangents of successive points
+# Of a step along the tangent: how far the next point may be. Where the tangent turns by
+# arccos 0.95, 18 degrees, the chord turns by half of that, or by all of it where the
+# branch is bent at one end alone: 1 / 0.95. What is further off is another branch.
+_CHORD = 1.0 / _TURN
 _FEWEST = 1e-9  # smallest step, of the branch's unit, before it is given up
 
 
@@ -47,7 +52,7 @@ def refuse_span(asked: Asked, point: Point, vary: str) -> None:
         *(f"velocity of {name}" for name in asked.problem.group),
         vary,
     ]
-    ways = "; ".join(told(row, names) for row in tangents(asked, point, count))
+    ways = "; ".join(told_of(row, names) for row in tangents(asked, point, count))
     problem = (
         f"leaves a family of {count} dimensions free where a branch has one "
         f"(directions: {ways})"
@@ -111,14 +116,14 @@ class Segment(NamedTuple):
     far: float
 
 
-class Walk(NamedTuple):
-    """A way along a branch: its points, and the segments between them.
+Look: TypeAlias = Callable[[Segment], list[Critical] | None]
 
-    The last segment may reach over the end of the span.
-    """
+
+class Walk(NamedTuple):
+    """A way along a branch: its points, and what is critical between them."""
 
     points: list[BranchPoint]
-    segments: list[Segment]
+    critical: list[Critical]
 
 
 def walked(
@@ -128,6 +133,7 @@ def walked(
     points: int,
     most: int,
     dimensions: tuple[int, ...],
+    look: Look,
 ) -> Walk:
     """From a start along its tangent, to an end of the span or of the branch.
 
@@ -138,6 +144,7 @@ def walked(
         points: How many steps the span is wide, at least.
         most: How many points there may be.
         dimensions: Counts of the family that leaves zeros among the eigenvalues.
+        look: For what is critical on a segment; None: its ends are of two branches.
     """
     low, high = span
     longest = (high - low) / asked.unit / points
@@ -147,12 +154,16 @@ def walked(
         far = min(step, longest / max(abs(float(here.tangent[-1])), 0.1))
         tried = step_from(asked, here, far)
         next_ = here
-        if tried.error < SOLVED:
+        chord = tried.moved / unit_steps(asked, here.solution)
+        if tried.error < SOLVED and float(np.linalg.norm(chord)) < _CHORD * far:
             next_ = made(asked, tried.point, here.tangent, dimensions)
-        if next_ is here or float(next_.tangent @ here.tangent) < _TURN:
+        told = None
+        if next_ is not here and float(next_.tangent @ here.tangent) > _TURN:
+            told = look(Segment(here, next_, far))
+        if told is None:
             step = 0.5 * far
             continue
-        way.segments.append(Segment(here, next_, far))
+        way.critical.extend(told)
         if not low <= next_.value <= high:
             end = low if next_.value < low else high
             landed = _landed(asked, here, end)

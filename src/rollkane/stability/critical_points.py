@@ -7,23 +7,31 @@ import numpy as np
 
 from .branch import BranchPoint, Critical
 from .continuation import Segment, made, step_from
-from .newton import Asked
+from .newton import SOLVED, Asked
 
 # of how far along a tangent, where a located point may be off: rounding [1]
 _EXACT = 1e-14
 _TRIES = 40
+# Of a test's value at the segment's worse end: where it is zero it is rounding there,
+# some 1e-10; between two branches it jumps past zero and is never small.
+_SMALL = 1e-6
 _Test: TypeAlias = Callable[[BranchPoint], float]
 
 
 def critical_on(
     asked: Asked, segment: Segment, dimensions: tuple[int, ...]
-) -> list[Critical]:
+) -> list[Critical] | None:
     """What is critical between two neighbouring points of a branch.
 
     Args:
         asked: What is solved.
         segment: Of the branch.
         dimensions: Counts of the family that leaves zeros among the eigenvalues.
+
+    Returns:
+        Critical points; None: a tangent turns or an eigenvalue changes its sign without
+        passing zero, so that the ends are not of one branch. Of pairs that come apart
+        without a meeting that can be found there is none to tell of.
     """
     first, last = segment.first, segment.last
     tests: list[tuple[str, _Test]] = []
@@ -38,6 +46,10 @@ def critical_on(
     found: list[Critical] = []
     for kind, test in tests:
         point = _located(asked, segment, test, dimensions)
+        if point is None:
+            if kind in ("fold", "zero crossing"):
+                return None
+            continue
         value = _passing(kind, point, first, last)
         found.append(Critical(kind, point.value, point.state, value, point))
     return found
@@ -74,16 +86,19 @@ def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
 
 def _located(
     asked: Asked, segment: Segment, test: _Test, dimensions: tuple[int, ...]
-) -> BranchPoint:
-    """The root of a test on a segment, by the Illinois method."""
+) -> BranchPoint | None:
+    """The root of a test on a segment, by the Illinois method; None: there is none."""
     first, last = segment.first, segment.last
     (a, fa), (b, fb) = (0.0, test(first)), (segment.far, test(last))
     best, least = (first, abs(fa)) if abs(fa) < abs(fb) else (last, abs(fb))
+    small = _SMALL * max(abs(fa), abs(fb))
     for _ in range(_TRIES):
         s = b - fb * (b - a) / (fb - fa)
         if not min(a, b) < s < max(a, b):
             break
         solution = step_from(asked, first, s)
+        if not solution.error < SOLVED:
+            break
         point = made(asked, solution.point, first.tangent, dimensions)
         value = test(point)
         if abs(value) < least:
@@ -95,7 +110,7 @@ def _located(
         else:
             fa *= 0.5  # so that the other end moves, too
         b, fb = s, value
-    return best
+    return best if least <= small else None
 
 
 def _passing(

@@ -9,7 +9,7 @@ import numpy as np
 from ..identification import paths
 from ..validation.checks import FieldError
 from .branch import Branch, BranchPoint, Critical
-from .continuation import made, refuse_span, step_from, tangents, walked
+from .continuation import Segment, made, refuse_span, step_from, tangents, walked
 from .critical_points import critical_on
 from .newton import SOLVED, Asked, solved
 from .quantities import quantity
@@ -129,17 +129,19 @@ def _both_ways(
 ) -> Branch:
     """A branch from both of its starts outwards, and what lies between them."""
     dimensions = ahead.told.counts
-    how = plan.span, plan.points, plan.most, dimensions
+
+    def look(segment: Segment) -> list[Critical] | None:
+        return critical_on(plan.asked, segment, dimensions)
+
+    how = plan.span, plan.points, plan.most, dimensions, look
     forward = walked(plan.asked, ahead, *how)
     backward = walked(plan.asked, back, *how)
     points = [_turned(p) for p in backward.points[:0:-1]] + middle + forward.points[1:]
     if middle[0].tangent[-1] < 0.0 and len(middle) == 1:
         points = [_turned(p) for p in points[::-1]]
     low, high = plan.span
-    found: list[Critical] = []
-    for segment in backward.segments[::-1] + forward.segments:
-        told = critical_on(plan.asked, segment, dimensions)
-        found += [c for c in told if low <= c.value <= high]
+    told = backward.critical[::-1] + forward.critical
+    found = [c for c in told if low <= c.value <= high]
     return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span)
 
 
