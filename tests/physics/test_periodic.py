@@ -84,6 +84,66 @@ def test_a_family_from_a_normal_mode_to_large_amplitude(swing):
 
 
 @pytest.mark.slow  # in part by the example of docs/periodic.md
+def bob(alpha):
+    return jnp.stack([alpha[0], 0.0 * alpha[0], 0.0 * alpha[0] - 0.02])[None]
+
+
+def spring(alpha, stiffness):
+    return 0.5 * stiffness * alpha[0] ** 2
+
+
+def test_slow_modes_beside_a_fast_one():
+    """A bob h above the contact, d below the middle, that a stiff spring holds there.
+
+    Of the tilts: ``omega^2 = g ((1 + m) c r^2 + m d) / (1.4 r^2 + m h^2)``, with the
+    curvature c of the middle's path; of the bob against a ball that gives way:
+    ``omega^2 = rate^2 (1 + m h^2 / (1.4 r^2))``.
+    """
+    stiff = 0.3 * 1e5**2
+    inside = rk.PointMasses(
+        [0.3], bob, potential=spring, parameters=stiff, coordinates=1
+    )
+    ball = rk.Body(1.0, 0.4 * r * r * np.eye(3), rk.Sphere(r))
+    base = rk.Base(rk.Graph(height, {"a": 1.0, "b": 1.3}))
+    scene = rk.Scene(ball, base, supported=inside)
+    at = rk.place(scene, UPRIGHT, STILL, STILL, alpha=[0.0], alpha_dot=[0.0])
+    found = rk.normal_modes(scene, at).frequencies
+    assert found.size == 3
+    m, d, h = 0.3, 0.02, 0.08
+    path = np.array([1.0 / (1.0 - r), 1.3 / (1.0 - 1.3 * r)])
+    own = 1.4 * r**2
+    slow = np.sqrt(G * ((1.0 + m) * path * r**2 + m * d) / (own + m * h**2))
+    fast = 1e5 * np.sqrt(1.0 + m * h**2 / own)
+    # the spring gives way by (slow / fast)^2 = 2e-9, times ratios of masses up to 1e2
+    np.testing.assert_allclose(found, [*slow, fast], rtol=2e-7)
+
+
+def test_a_family_goes_to_its_span_s_end_beside_the_rest():
+    """The end lies between the last step and the rest that it would pass."""
+    low, high = (-G * (R - r) * np.cos(angle) for angle in (0.02, 0.7))
+    place = R * np.sin(0.6), 0.0, -R * np.cos(0.6)
+    start = rk.place(BOWL, UPRIGHT, STILL, place)
+    swing = rk.periodic_motion(BOWL, start, 2.3, hold={"energy": None})
+    family = rk.periodic_family(BOWL, swing, "energy", (low, high), points=8)
+    assert family.ends[0] == "span"
+    assert family.values[0] == pytest.approx(low, rel=1e-12)
+
+
+def test_a_guess_that_leads_to_no_numbers_is_refused():
+    """A millimetre ball 20 m up the side of a wide bowl, whose equations overflow."""
+    size = 1e-3
+    ball = rk.Body(1.0, 0.4 * size**2 * np.eye(3), rk.Sphere(size))
+    scene = rk.Scene(ball, rk.Base(rk.Graph(height, {"a": 1e-3, "b": 1.7e-3})))
+    far = 20.0
+    start = rk.place(scene, UPRIGHT, STILL, (0.0, far, 0.85e-3 * far**2))
+    guess = 2.0 * np.pi / np.sqrt(5.0 / 7.0 * G * 1.7e-3)
+    try:
+        found = rk.periodic_motion(scene, start, guess, hold={"energy": None})
+    except rk.FieldError:
+        return
+    assert found.period == pytest.approx(guess, rel=1e-2)  # nearly harmonic
+
+
 def test_multipliers_of_small_swings():
     """Of the motion along y, in x: ``exp(+-2 pi i omega_x / omega_y)``."""
     a, b, small = 1.0, 1.7, 1e-3

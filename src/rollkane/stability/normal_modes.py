@@ -21,17 +21,16 @@ from .neutral import neutral
 from .periodic import PeriodicMotion, periodic_motion
 from .periodic_family import periodic_family
 from .shooting import measured
+from .spectrum import Spectrum
+from .steady import spectrum_at_rest
 from .surface_motions import echelon
 from .symmetries import symmetries
 
 _FIELD = "normal_mode_motion"
 AMPLITUDE = "amplitude"
-# Of the largest rate: what differences of eigenvalues and vectors count as none. A
-# double eigenvalue is known to the root of its rounding, 1e-13: to 3e-7.
+# Of a rate: what differences of eigenvalues and vectors count as none. A double
+# eigenvalue is known to the root of its rounding, 1e-13: to 3e-7.
 _LOOSE = 1e-6
-# Of the largest rate: slower is no vibration. Zeros of the symmetries and of steady
-# drifts come in chains of two or three, known to the cube root of the rounding: 5e-5.
-_SLOWEST = 1e-4
 # [1/s]: what the fastest rate counts as where nothing moves by itself.
 _STILL = 1e-6
 # Rates of a rest over those that gravity would make in the time of a vibration.
@@ -114,7 +113,8 @@ def normal_modes(scene: Scene, rest: State) -> NormalModes:
         remedy = "find the rest with rollkane.steady_motion, and give its state"
         raise FieldError(f"{_FIELD}.rest", "...", problem, remedy)
     like = slopes * size[None] / size[:, None]
-    frequencies, shapes = _vibrations(like, around, size)
+    told = spectrum_at_rest(scene, around.reference)
+    frequencies, shapes = _vibrations(like, told, around, size)
     return NormalModes(frequencies, shapes, around.names, around)
 
 
@@ -134,16 +134,14 @@ def _linear(around: IndependentCoordinates) -> tuple[Array, Array]:
 
 
 def _vibrations(
-    like: np.ndarray, around: IndependentCoordinates, size: np.ndarray
+    like: np.ndarray,
+    told: Spectrum,
+    around: IndependentCoordinates,
+    size: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies and shapes of a linear model in coordinates of like size."""
     values, vectors = cast(_Pair, np.linalg.eig(like))
-    fastest = np.abs(values).max()
-    swings = (values.imag > _SLOWEST * fastest) & (
-        np.abs(values.real) < _LOOSE * fastest
-    )
-    places = np.array(np.nonzero(swings)[0])
-    places = places[np.argsort(values.imag[places], kind="stable")]
+    places = _swings(values, told)
     fixed = {"turn", "contact on base", "contact on body", "alpha"}
     parts = [np.full(k, name in fixed) for name, k in around.sizes.items()]
     still = np.concatenate(parts)
@@ -151,7 +149,7 @@ def _vibrations(
     shapes: list[np.ndarray] = []
     while places.size:
         first = values.imag[places[0]]
-        same = places[values.imag[places] - first < _LOOSE * fastest]
+        same = places[values.imag[places] - first < _LOOSE * first]
         chosen = vectors[:, same]
         rows = _at_rest(np.concatenate([chosen.real, chosen.imag], axis=1).T, still)
         for row in rows:
@@ -161,6 +159,24 @@ def _vibrations(
         places = places[same.size :]
     whole_shape = np.stack(shapes) if shapes else np.zeros((0, size.size))
     return np.array(frequencies), whole_shape
+
+
+def _swings(values: np.ndarray, told: Spectrum) -> np.ndarray:
+    """Which eigenvalues are vibrations, slowest first.
+
+    Those nearest to what symmetries and steady drifts leave, whose zeros come in chains
+    that are known to the cube root of the rounding only: 5e-5 of the fastest rate,
+    where a slow vibration may be.
+    """
+    own = cast(_Complex, told.eigenvalues)
+    near = np.maximum(told.errors, _LOOSE * np.abs(own))
+    own = own[(own.imag > near) & (np.abs(own.real) < near)]
+    left, places = list(range(values.size)), list[int]()
+    for value in own[np.argsort(own.imag, kind="stable")]:
+        best = min(left, key=lambda k: abs(values[k] - value))
+        left.remove(best)
+        places.append(best)
+    return np.array(places, int)
 
 
 def _at_rest(rows: np.ndarray, still: np.ndarray) -> np.ndarray:

@@ -26,6 +26,8 @@ from .shooting import Nodes, Shooting, offset
 _FIELD = "periodic_family"
 # Of the largest singular value: what a motion leaves free.
 _FREE = 1e-7
+# Of the flow, squared: a neighbour with less is a steady motion, solved to 1e-9.
+_STEADY = 1e-12
 # Largest step, in changes of like size [1], and the least before the search gives up.
 _LONGEST, _SHORTEST = 0.3, 1e-5
 _BISECTIONS = 30
@@ -261,13 +263,13 @@ def _walk(
             far *= 0.5
         if there is None:
             return found, "not found"
-        if _turned_back(here, there):
-            return found, "steady motion"
+        turned = _turned_back(here, there)
         longest = min(_LONGEST, 4.0 * far)
-        if not low < there.value < high:
-            last = _at(course, here, high if there.value >= high else low)
+        if turned or not low < there.value < high:
+            above = here.slope > 0.0 if turned else there.value >= high
+            last = _at(course, here, high if above else low)
             if last is None:
-                return found, "not found"
+                return found, "steady motion" if turned else "not found"
             return [*found, last], "span"
         found.append(there.motion)
         here = there
@@ -276,10 +278,15 @@ def _walk(
 
 def _turned_back(here: _Here, there: _Here) -> bool:
     """Whether a steady motion lies between: the flow has changed its sign."""
-    flows = [one.linear.own_flow for one in (here, there)]
+    return not _moves_on(here, there.linear)
+
+
+def _moves_on(here: _Here, linear: Linear) -> bool:
+    """Whether a motion goes the way of another, and is no steady one."""
+    flows = here.linear.own_flow, linear.own_flow
     if flows[0] is None or flows[1] is None:
-        return False
-    return bool(flows[0] @ flows[1] <= 0.0)
+        return True
+    return bool(flows[0] @ flows[1] > _STEADY * (flows[0] @ flows[0]))
 
 
 def _next(course: _Course, here: _Here, far: float) -> _Here | None:
@@ -326,7 +333,7 @@ def _at(course: _Course, here: _Here, value: float) -> PeriodicMotion | None:
     for guess in (stepped_nodes(course.shot, here.nodes, step), here.nodes):
         try:
             solved = solve(course.shot, guess, held, closeness(course.shot))
-            if solved.converged:
+            if solved.converged and _moves_on(here, solved.linear):
                 return motion_of(course.shot, solved, held)
         except FieldError:
             continue
