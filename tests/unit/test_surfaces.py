@@ -185,6 +185,40 @@ def test_point_with_a_given_normal_is_found(name):
     np.testing.assert_allclose(found, wanted, atol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["chart", "direction", "implicit"])
+def test_searches_that_leave_nothing_have_derivatives(name):
+    """From a sample on: of the nearest point across, of the normal that is asked."""
+    surface = SURFACES[name]
+    place = surface.geometry(coordinates(surface, 3))
+    across = jnp.eye(3) - jnp.outer(place.normal, place.normal)
+
+    def nearest(p):
+        return surface.geometry(surface.locate(p)).position
+
+    def facing(n):
+        found = surface.find_normal(n / jnp.linalg.norm(n))
+        return surface.geometry(found).normal
+
+    # what a search leaves, 1e-9, by curvatures of at most 20 / m
+    moved = jax.jit(jax.jacfwd(nearest))(place.position)
+    np.testing.assert_allclose(moved, across, atol=2e-8)
+    turned = jax.jit(jax.jacrev(facing))(place.normal)
+    np.testing.assert_allclose(turned, across, atol=2e-8)
+
+
+@pytest.mark.parametrize("height", [-1.0, 1.0])
+def test_a_normal_at_a_pole_is_found_with_its_derivative(height):
+    """An egg on either end: its point moves by the radius of curvature, a^2 / c."""
+    egg = rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.12 * jnp.cos(s)))
+
+    def touched(n):
+        return egg.geometry(egg.find_normal(n / jnp.linalg.norm(n))).position
+
+    moved = jax.jit(jax.jacfwd(touched))(jnp.array([0.0, 0.0, height]))
+    # the search ends within 1e-9
+    np.testing.assert_allclose(moved, np.diag([1.0, 1.0, 0.0]) / 12.0, atol=1e-9)
+
+
 def test_poles_of_a_meridian_are_regular():
     """At and beside each pole the curvatures are those of the sphere."""
     surface = SURFACES["closed revolution"]

@@ -165,8 +165,10 @@ class AbstractPointSurface(AbstractSurface):
 
         def towards(target: Array) -> _Step:
             def gap(geometry: LocalGeometry) -> Array:
-                # that the normal still needs
-                turn = matvec_transposed(geometry.frame[:, :2], target)
+                # that the normal still needs; once that is nothing, its derivative is
+                # the normal's alone: tangents next to a pole would turn with the place
+                left = target - geometry.normal
+                turn = matvec_transposed(geometry.frame[:, :2], left)
                 return _least_turn(-geometry.frame_rates, turn)
 
             return gap
@@ -206,7 +208,9 @@ class AbstractPointSurface(AbstractSurface):
         """Coordinates after one step of a search, which is cut to a length [m]."""
         geometry = self.geometry(u)
         x = step(geometry)
-        x = x / jnp.maximum(1.0, norm(matvec(geometry.lengths, x)) / longest)
+        # steps that carry derivatives are uncut; of none left no length has one
+        excess = jax.lax.stop_gradient(norm(matvec(geometry.lengths, x)) / longest)
+        x = x / jnp.maximum(1.0, excess)
         x = jnp.where(jnp.all(jnp.isfinite(x)), x, 0.0)
         return self.settled(u + self.coordinate_rates(u, geometry, x))
 

@@ -168,8 +168,9 @@ class Revolution(AbstractPointSurface):
         r_2, z_2 = components(second)
         length = jnp.sqrt(r_1 * r_1 + z_1 * z_1)
         zero = jnp.zeros_like(r)
-        # next to a pole r, z_1 and the way round vanish together: 0/0 has a limit
-        at_pole = across == 0
+        # next to a pole r, z_1 and the way round vanish together: their ratios have
+        # limits, off by across^2, where of the ratios only roundings would be left
+        at_pole = across < np.sqrt(np.finfo(across.dtype).eps)
         safe = jnp.where(at_pole, 1.0, across)
         around = jnp.where(at_pole, r_1 * place.edge, r / safe)
         lean = jnp.where(at_pole, z_2 * place.edge, z_1 / safe)
@@ -324,9 +325,12 @@ class Revolution(AbstractPointSurface):
 
 
 def _polar(x: Array, y: Array) -> tuple[Array, Array, Array]:
-    """Cosine, sine and length of a plane vector; (1, 0, 0) for the zero vector."""
+    """Cosine, sine and length of a plane vector; (1, 0, 0) for none but a rounding.
+
+    Whose direction would say nothing, and turn infinitely fast.
+    """
     square = x * x + y * y
-    at_pole = square == 0
+    at_pole = square <= np.finfo(square.dtype).eps ** 2
     length = jnp.sqrt(jnp.where(at_pole, 1.0, square))
     return (
         jnp.where(at_pole, 1.0, x / length),
