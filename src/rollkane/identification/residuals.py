@@ -266,6 +266,9 @@ def _of_group(
         predicted = run.each(channel.observed)
         predicted = predicted[1:] if group.leads else predicted
         sampled = ~jnp.isnan(samples.values)
+        # misfits are not pulled back at NaN, which 0 times is NaN
+        known = jnp.isfinite(predicted)
+        predicted = jnp.where(known, predicted, jnp.where(sampled, samples.values, 1.0))
         filled = eqx.tree_at(
             lambda c: c.values, channel, jnp.where(sampled, samples.values, predicted)
         )
@@ -273,7 +276,10 @@ def _of_group(
         complete = jnp.all(sampled, axis=1, keepdims=True)
         whole = sampled if misfit.shape == sampled.shape else complete
         counted = jnp.broadcast_to(whole, misfit.shape) & count[:, None]
-        reached = jnp.isfinite(misfit)
+        known = (
+            known if misfit.shape == known.shape else jnp.all(known, 1, keepdims=True)
+        )
+        reached = jnp.isfinite(misfit) & known
         size = jnp.sqrt(jnp.mean(jnp.where(sampled, samples.values, 0.0) ** 2))
         lost = _LOST + 2.0 * size / channel.sigma[None]
         finite = jnp.where(reached, misfit, lost)

@@ -18,6 +18,7 @@ from ..hybrid.modes import Mode, ModedState, by_mode
 from ..kinematics.coordinates import State
 from ..validation.codes import Code
 from .event_record import Crossings
+from .reached_outputs import of_reached
 from .rolling_body_result import RollingBodyResult
 
 Observable: TypeAlias = Callable[[Scene, Float[Array, ""], Any], Any]
@@ -75,7 +76,8 @@ class AbstractMotion(abc.ABC):
 
         Returns:
             Its values, shape (T, ...), with the members or the batch in front if there
-            are some.
+            are some. Numbers are NaN where the motion was not reached, and so are
+            derivatives that use them.
 
         Raises:
             FieldError: the motion has no states.
@@ -256,7 +258,8 @@ def _evaluated(
         mapped = jax.vmap(mapped, in_axes=(own, axis.time, 0))
     for _ in range(state.angular_velocity.ndim - 1 - len(axes)):
         mapped = jax.vmap(mapped)
-    return mapped(scene, jnp.asarray(time), state)
+    times = jnp.asarray(time)
+    return of_reached(lambda y: mapped(scene, times, y), state)
 
 
 # in one program, of blocks that follow each other
