@@ -251,3 +251,23 @@ def test_the_joint_region_is_where_chi2_has_risen():
         found.contains({path: np.zeros(2)})
     with pytest.raises(rk.FieldError, match="out of range"):
         found.contains({path: np.zeros(3)}, 1.5)
+
+
+def test_the_joint_region_of_records_with_sensors_of_their_own():
+    """Rows of a record-wise parameter are of the records that have its sensor."""
+    body = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+    scene, level = rk.Scene(body), (1.0, 0.0, 0.0, 0.0)
+    start = rk.place(scene, level, (0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+    times, spin = [0.0, 0.1], np.array([[0.0, 0.0, 4.0]] * 2)
+    position = {"place": rk.Position(np.array([[0.0, 0.0, 0.1]] * 2), 0.01)}
+    records = [
+        rk.Record(times, position),
+        rk.Record(times, position | {"gyro": rk.Gyro(spin + 0.1, 0.02)}),
+    ]
+    free = rk.Free("gyro.bias", shared=False)
+    found = rk.fit(scene, [start, start], records, free)
+    bias = found.estimates["gyro.bias"]
+    assert bias.shape == (1, 3)
+    assert found.contains({"gyro.bias": bias})
+    # twenty deviations of a mean of two, 0.02 / sqrt(2), are far outside
+    assert not found.contains({"gyro.bias": bias + 0.3})

@@ -109,9 +109,13 @@ class Fit(Estimates):
             raise FieldError("Fit.contains.values", given, "do not fit", remedy)
         layout, z = self.problem.layout, self.search.minimum.z
         there = z.copy()
+        owners: dict[str, list[int | None]] = {}
         for entry in layout.entries:
-            value = np.asarray(values[entry.free.path], float)
-            own = value if entry.record is None else value[entry.record]
+            owners.setdefault(entry.free.path, []).append(entry.record)
+        for entry in layout.entries:
+            own = np.asarray(values[entry.free.path], float)
+            if entry.record is not None:  # rows are of the records that have it
+                own = own[owners[entry.free.path].index(entry.record)]
             there[entry.where] = uncertainty.coordinates_of(entry, own, z)
         if not np.isfinite(there).all():
             return False
