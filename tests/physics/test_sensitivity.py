@@ -206,3 +206,6 @@ def test_a_posterior_is_normal_where_the_model_is_linear():
     )
     with pytest.raises(rk.FieldError, match="unseen"):
         rk.posterior(mass)
+    with pytest.raises(rk.FieldError, match="whole number") as caught:
+        rk.posterior(fit, seed=-1)
+    assert caught.value.field == "posterior.seed"

@@ -504,6 +504,12 @@ BAD_FITS = {
         "use one of",
     ),
     "no guess": ((SCENE, START, RECORD, FREE), {"starts": 0}, "fit.starts", "at least"),
+    "seed": (
+        (SCENE, START, RECORD, FREE),
+        {"starts": 2, "seed": -1},
+        "fit.seed",
+        "whole number",
+    ),
     "no points": (
         (SCENE, START, RECORD, FREE),
         {"max_evaluations": 0},

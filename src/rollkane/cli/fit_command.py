@@ -93,7 +93,11 @@ def _several(
     help="Points tried by each search.",
 )
 @click.option(
-    "--seed", type=int, default=0, show_default=True, help="Of the random ones."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the random ones.",
 )
 @click.option(
     "--profile", is_flag=True, help="95 % intervals by profiles of chi-square."

@@ -85,7 +85,8 @@ def fit(
     count = whole("fit.starts", starts, 1, "give how many guesses")
     most = whole("fit.max_evaluations", max_evaluations, 1, "give how many points")
     known_spread = not_negative("fit.spread", spread, "relative to the guess")
-    guesses = _guesses(problem, count, float(known_spread), seed)
+    known_seed = whole("fit.seed", seed, 0, "give a whole number")
+    guesses = _guesses(problem, count, float(known_spread), known_seed)
     z0 = guesses[0]
     at = problem.evaluate(z0)
     check_usable(at)

@@ -32,11 +32,13 @@ def posterior(
         By path, draws in front of the parameter's shape [its unit].
 
     Raises:
-        FieldError: parameters that the records do not show, bounds, a robust loss.
+        FieldError: counts or a seed that are none, parameters that the records do not
+            show, bounds, a robust loss.
         ModuleNotFoundError: numpyro is not installed.
     """
     draws = whole("posterior.draws", draws, 1, "give how many samples")
     warmup = whole("posterior.warmup", warmup, 1, "give how many samples")
+    seed = whole("posterior.seed", seed, 0, "give a whole number")
     layout, z = fit.problem.layout, fit.search.minimum.z
     if fit.unseen:
         remedy = "hold one of them, or give a prior"
