@@ -98,7 +98,7 @@ def brackets_of(
 def carried_rates(
     scene: Scene, drift: Action, times: np.ndarray, states: State
 ) -> np.ndarray:
-    """Rates of states that time carries along, in parts that turns leave alone.
+    """Rates of states that time carries along, by what turns leave alone.
 
     Args:
         scene: What rolls on what.
@@ -127,10 +127,12 @@ def _carried_rates(scene: Scene, drift: Action, times: Array, states: State) -> 
         sizes = unpack(_sizes(y, own, jnp.zeros((1, pack(y).shape[0]))), y)
         both: list[Array] = []
         for one in (own, sizes):
-            parts = [one.angular_velocity, one.contact_on_base, one.contact_on_body]
-            parts += [one.alpha, one.alpha_dot]
+            turned = [one.angular_velocity, one.contact_on_base, one.contact_on_body]
             if isinstance(one, SlidingState):
-                parts.append(norm(one.slip)[None])
+                turned.append(one.slip)
+            # drifts turn these, and leave their lengths
+            parts = [norm(part)[None] for part in turned if part.shape[0]]
+            parts += [one.alpha, one.alpha_dot]
             both.append(jnp.concatenate(parts))
         return jnp.stack(both)
 
