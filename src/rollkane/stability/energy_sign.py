@@ -21,10 +21,7 @@ from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
 from ..dynamics import observables
-from ..dynamics.rolling import contact_of
-from ..dynamics.scene import Scene
-from ..geometry.small_linear import cross, dot, matvec
-from .independent_coordinates import body_length
+from .momenta import MOMENTA, momenta, units
 from .newton import Asked, Point
 from .problem import RollingProblem
 
@@ -99,59 +96,6 @@ _ENERGIES: dict[str, _Observable] = {
     "energy": observables.energy,
     "moving energy": observables.moving_energy,
 }
-# What is kept in one scene or another; which of them is, states decide. The first that
-# will do are taken.
-MOMENTA = (
-    "moment about the contact z",
-    "moment about the contact's normal",
-    "Jellett's integral",  # of a ball: the moment along the arm from its mass centre
-    "Routh's integral",  # of a ball of revolution
-    "moment about the body's axis",
-    "square of the moment about the contact",
-    "angular velocity about the normal",
-    "momentum x",
-    "momentum y",
-    "momentum z",
-    "angular momentum z",
-)
-
-
-# Of the energy and of each of these: powers of mass, length and rate in its unit.
-_UNITS = np.array(
-    [
-        (1, 2, 2),
-        *((1, 2, 1), (1, 2, 1), (1, 3, 1), (1, 2, 1), (1, 2, 1), (2, 4, 2)),
-        *((0, 0, 1), (1, 1, 1), (1, 1, 1), (1, 1, 1), (1, 2, 1)),
-    ]
-)
-
-
-def _units(problem: RollingProblem, rate: float) -> np.ndarray:
-    """What energy and momenta of the motion are measured by, shape (12,).
-
-    All of its numbers are told beside these, so that none depends on units.
-    """
-    scene = problem.scene
-    mass = float(scene.body.mass) or 1.0
-    own = np.array([mass, body_length(scene), rate])
-    return np.prod(own**_UNITS, axis=1)
-
-
-def _momenta(scene: Scene, t: Array, state: Any) -> Float[Array, "11"]:
-    body, contact = scene.body, contact_of(scene, t, state)
-    moment = observables.contact_angular_momentum(scene, t, state)
-    own = matvec(contact.rotation.T, moment)
-    arm = contact.body_point - body.center_of_mass
-    A, C = body.inertia[0, 0], body.inertia[2, 2]
-    routh = A * C + body.mass * dot(arm, matvec(body.inertia, arm))
-    P = observables.momentum(scene, t, state)
-    about = moment + cross(contact.place, P)
-    parts = (
-        *(moment[2], dot(own, contact.normal), dot(own, arm)),
-        *(contact.angular_velocity[2] * jnp.sqrt(routh), own[2], dot(own, own)),
-        *(dot(contact.angular_velocity, contact.normal), *P, about[2]),
-    )
-    return jnp.stack(parts)
 
 
 def energy_sign(
@@ -179,9 +123,9 @@ def energy_sign(
     if not kind:
         return _none("the scene keeps no energy")
     size = point.size
-    units = _units(problem, point.rate)
+    measures = units(problem.scene, point.rate)
     slopes = np.asarray(_slopes(problem, kind, point.state), float) * size
-    slopes = slopes / units[:, None]
+    slopes = slopes / measures[:, None]
     kept = [False] * len(MOMENTA)
     if np.linalg.norm(slopes[0]) > _first(slopes):  # at rest no momentum is needed
         kept = _kept(problem, point)
@@ -196,7 +140,7 @@ def energy_sign(
     needed = np.zeros(len(MOMENTA) + 1)
     needed[0], needed[chosen] = 1.0, -weights
     rows = np.stack([needed, *_spare(slopes, kept, chosen)])
-    second = _second(problem, kind, any(kept), point.state, rows / units)
+    second = _second(problem, kind, any(kept), point.state, rows / measures)
     seconds = np.asarray(second, float) * size[:, None] * size[None]
     S = point.group.moved
     basis = _complement(np.concatenate([S, slopes[chosen].T], axis=1))
@@ -205,12 +149,9 @@ def energy_sign(
     counts = _inertia(basis.T @ Q @ basis)
     A = point.local.slope / size[:, None] * size[None]
     signs = _signs(A, Q, _complement(S), eigenvalues, errors)
-    momenta = {
-        name: -float(w)
-        for name, w in zip(MOMENTA, weights[1:] * units[0] / units[1:], strict=True)
-        if w
-    }
-    found = EnergySign(kind, momenta, *counts, signs, "")
+    multiples = -weights[1:] * measures[0] / measures[1:]
+    taken = {name: float(w) for name, w in zip(MOMENTA, multiples, strict=True) if w}
+    found = EnergySign(kind, taken, *counts, signs, "")
     if found.definite and np.any(np.real(eigenvalues) > errors):
         return _none("rounding hides it: of a motion that grows none is definite")
     return found
@@ -229,7 +170,7 @@ def _values(
     energy = _ENERGIES[kind](problem.scene, t, state)[None]
     if not more:
         return energy
-    return jnp.concatenate([energy, _momenta(problem.scene, t, state)])
+    return jnp.concatenate([energy, momenta(problem.scene, t, state)])
 
 
 @for_one_call
@@ -265,7 +206,7 @@ def _changes(problem: RollingProblem, state: Any, steps: Array) -> tuple[Array, 
         t = jnp.zeros_like(x[0])
 
         def told(y: Any) -> Array:
-            return _momenta(problem.scene, t, y)
+            return momenta(problem.scene, t, y)
 
         values, along = cast(Any, jax.linearize(told, y))
         generated: Callable[[Array], Any] = lambda xi: problem.generator(y, xi)

@@ -178,8 +178,8 @@ def _measures(
     moves = float(rates[~fast].max(initial=rate))
     share = 1.0
     if moves == 0.0 and np.isfinite(local.slope).all():
-        small: np.ndarray = np.abs(np.linalg.eigvals(local.slope))
-        moves = float(small.max(initial=0.0))
+        small = cast(np.ndarray, np.linalg.eigvals(local.slope))
+        moves = float(np.abs(small).max(initial=0.0))
         share = _AT_REST
     rate = moves if np.isfinite(moves) and moves > 0.0 else rate or 1.0
     return np.where(fast, size * rate, size), rate, share * rate
