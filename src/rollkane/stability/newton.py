@@ -174,7 +174,7 @@ def _measures(
     """
     size, rate = asked.problem.sizes(state)
     fast = np.asarray(asked.fast, bool)
-    rates: np.ndarray = np.abs(local.rates / size)
+    rates = cast(np.ndarray, np.abs(local.rates / size))
     moves = float(rates[~fast].max(initial=rate))
     share = 1.0
     if moves == 0.0 and np.isfinite(local.slope).all():
