@@ -474,3 +474,103 @@ def test_values_that_jump_at_impacts_and_lift_offs_are_found_there(method):
 
 
 BOUNCING = {-1: "top", 1: "hit"}
+
+
+# -- where an event and a change of the contact are one --------------------------------
+
+# m/s: before, at and just behind the change, by less and more than rounding
+OFFSETS = np.concatenate(
+    [np.zeros(32), 10.0 ** np.linspace(-17, -7, 32), -(10.0 ** np.linspace(-9, -7, 32))]
+)
+SPEEDS = np.random.default_rng(3).uniform(1.0, 5.0, OFFSETS.size)
+
+
+class FastFor(eqx.Module):
+    """By how much a ball is faster than it would roll, less an offset [m/s]."""
+
+    offset: jax.Array
+
+    def __call__(self, scene, t, state):
+        spin = rk.dynamics.observables.angular_velocity(scene, t, state)[1]
+        speed = rk.dynamics.observables.velocity(scene, t, state)[0]
+        return speed - RADIUS * spin - self.offset
+
+
+@functools.cache
+def gripped(way, stops):
+    """Many balls that slip until they roll, with and without events there."""
+
+    def both(speed, offset):
+        velocity = jnp.stack([speed, 0.0 * speed, 0.0 * speed])
+        start = rk.place(SLIDES, UP, STILL, STILL, velocity=velocity)
+        event = rk.Event(FastFor(offset), way, stop=stops, name="grip")
+        how = {"modes": MODES, "rtol": 1e-10, "max_steps": 2000}
+        run = lambda **more: rk.simulate(
+            rk.Scene(BALL), start, (0.0, 1.0, 4.0), **how, **more
+        )
+        plain, watched = run(), run(events=event)
+        found = watched.events["grip"]
+        shown = [(x.code, x.position, x.switches.time[0]) for x in (plain, watched)]
+        return *shown, found.times[0], found.count
+
+    return jax.jit(jax.vmap(both))(SPEEDS, OFFSETS)
+
+
+@pytest.mark.parametrize("way", [-1, 0])
+def test_an_event_where_a_slip_ends_leaves_the_run_as_it_is(way):
+    plain, watched, time, count = gripped(way, False)
+    np.testing.assert_array_equal(plain[0], 0)
+    np.testing.assert_array_equal(watched[0], 0)
+    # 4 s of 5 m/s, by other steps: some 100 of rtol 1e-10 would be 2e-7; a constant
+    # force is followed to rounding, and the change found to 1e-11 s of it
+    np.testing.assert_allclose(watched[1], plain[1], rtol=0, atol=5e-11)
+    np.testing.assert_allclose(watched[2], plain[2], rtol=0, atol=1e-11)
+    # it never comes where the offset is behind the slip's end, by more than rounding
+    np.testing.assert_array_equal(count, OFFSETS >= 0.0)
+    known = (2.0 * SPEEDS / 7.0 - OFFSETS / 3.5) / (MU * G)
+    # to four roundings of the clock and the step, or to 4e-12 of 5 m/s at a change,
+    # over a rate of 3.5 mu g = 7 m/s^2
+    comes = OFFSETS >= 0.0
+    np.testing.assert_allclose(time[comes], known[comes], rtol=0, atol=1e-11)
+
+
+def test_an_event_where_a_slip_ends_may_stop_the_run():
+    _, watched, time, count = gripped(-1, True)
+    comes = OFFSETS >= 0.0
+    np.testing.assert_array_equal(watched[0] == rk.Code.STOPPED, comes)
+    np.testing.assert_array_equal(watched[0] == 0, ~comes)
+    np.testing.assert_array_equal(count, comes)
+    known = (2.0 * SPEEDS / 7.0 - OFFSETS / 3.5) / (MU * G)
+    np.testing.assert_allclose(time[comes], known[comes], rtol=0, atol=1e-11)
+
+
+@functools.cache
+def lifted():
+    """Many balls that leave a ball, with and without an event there."""
+    angles = np.linspace(0.02, 0.3, 96)
+
+    def both(angle):
+        how = {"modes": rk.Modes(), "rtol": 1e-10, "max_steps": 2000}
+        run = lambda **more: rk.simulate(
+            ON_TOP, beside_top(angle), (0.0, 3.0), **how, **more
+        )
+        event = rk.Event(rk.Event.lift_off().function, name="lifts")
+        plain, watched = run(), run(events=event)
+        found = watched.events["lifts"]
+        shown = [(x.code, x.position, x.switches.time[0]) for x in (plain, watched)]
+        return *shown, found.times[0], found.count
+
+    return jax.jit(jax.vmap(both))(angles)
+
+
+def test_an_event_at_a_lift_off_leaves_the_run_as_it_is():
+    plain, watched, time, count = lifted()
+    np.testing.assert_array_equal(plain[0], 0)
+    np.testing.assert_array_equal(watched[0], 0)
+    # the same steps until the change, which is found to 1e-11 s, at 3 m/s; and 3 s of
+    # flight behind it
+    np.testing.assert_allclose(watched[1], plain[1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(watched[2], plain[2], rtol=0, atol=1e-11)
+    # once: in flight the force stays zero
+    np.testing.assert_array_equal(count, 1)
+    np.testing.assert_allclose(time, plain[2], rtol=0, atol=1e-11)

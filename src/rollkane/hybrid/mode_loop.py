@@ -66,7 +66,7 @@ class Loop(Trials):
         full = event & (c.path.switches.count >= self.motion.modes.switches)
         lost = event & ~jnp.all(jnp.isfinite(pack(after.y)))
         accept = verdict.accept & ~full & ~lost
-        look = self.looks_for_events(c, tried, accept)
+        look = self.looks_for_events(c, tried, accept, event)
         accept = accept if look is None else look.stands
         happens = event & accept
         lands = tried.lands & accept
@@ -79,9 +79,9 @@ class Loop(Trials):
             following = after._replace(t=begin)
         watched, shown = c.watched, output
         if look is not None and watched is not None:
-            look = behind(self.events, self.motion, look, happens, after)
+            look = behind(self.events, self.motion, look, watched, happens, after)
             layout, outputs = layout_of(self.events), self.times.shape[0]
-            watched = watched._replace(search=look.search, trial=look.trial)
+            watched = watched.looked(look, event)
             watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
         record = c.record
         if record is not None:
@@ -104,6 +104,7 @@ class Loop(Trials):
             place=picked(accept, following, at),
             step=self._bounded(verdict.step, record),
             values=picked(accept, values, c.values),
+            kind=kind,
             searching=verdict.searching,
             bracket=verdict.bracket,
             cuts=verdict.cuts,
@@ -143,7 +144,11 @@ class Loop(Trials):
         return jnp.minimum(step, jnp.abs(self.times[-1] - self.times[0]) / LEAST_STEPS)
 
     def looks_for_events(
-        self, c: Run, tried: Tried, accept: Bool[Array, ""]
+        self,
+        c: Run,
+        tried: Tried,
+        accept: Bool[Array, ""],
+        event: Bool[Array, ""],
     ) -> Look | None:
         """What a step that is accepted has of the user's events; None without any."""
         if c.watched is None:
@@ -151,7 +156,8 @@ class Loop(Trials):
         at, y = c.place, tried.end.y
         way = self.motion.along(at.mode, at.direction, y)
         end = Place(tried.t, y, at.mode, way)
-        return looked_at(self.events, self.motion, c.watched, at.t, end, accept)
+        judged = at.t, end, accept, event
+        return looked_at(self.events, self.motion, c.watched, *judged)
 
     def judged_again(self, c: Run, tried: Tried, look: Look, run: Run) -> Run:
         """What follows a step behind which there was an event, or one on it."""
@@ -258,6 +264,7 @@ class Loop(Trials):
             place=begun,
             step=self._bounded(first_step(y.angular_velocity, span), record),
             values=jnp.full(2, jnp.nan, t.dtype),
+            kind=whole,
             searching=jnp.asarray(False),
             bracket=Bracket(*(zero for _ in Bracket._fields)),
             cuts=whole,

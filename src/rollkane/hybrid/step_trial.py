@@ -55,6 +55,7 @@ class Run(NamedTuple):
     place: Place
     step: Array
     values: Array  # of the events at t; NaN behind a change, where they may be zero
+    kind: Array  # of the event that the last try was on the way to
     searching: Array
     bracket: Bracket
     cuts: Array  # of this step, because an event could hide in it
@@ -67,9 +68,10 @@ class Run(NamedTuple):
     watched: Watched | None = None  # events of the user's own
 
     @property
-    def looks(self) -> Array | bool:
+    def looks(self) -> Array:
         """Whether such an event is looked for in this step."""
-        return False if self.watched is None else self.watched.search.active
+        watched = self.watched
+        return jnp.asarray(False) if watched is None else watched.search.active
 
 
 class Tried(NamedTuple):
@@ -213,15 +215,23 @@ class Trials(eqx.Module):
         size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: too close for anything to happen between
-        blinks = (tried.lands | c.looks) & (taken <= tiny) & (size <= 1.0)
-        negative = ~(least >= self.least_value(c)) & ~blinks
+        brief, looks = taken <= tiny, c.looks
+        blinks = (tried.lands | looks) & brief & (size <= 1.0)
+        # one search at a time: a try within a step that stood has no change to look for
+        negative = ~(least >= self.least_value(c)) & ~blinks & ~looks
         kind = self.first_of(c, tried.end.values, share)
+        # of rounding the share says nothing: it is the one that was looked for
+        lasts = looks | (c.searching & (share[kind] > _TOGETHER))
+        kind = jnp.where(lasts, c.kind, kind)
+        ends = jnp.asarray(False)
+        if c.watched is not None:
+            ends = c.watched.ends_on_change(taken, tiny)
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
         behind = jnp.isnan(c.values[0]) & negative & known
         at_once = behind & (size <= 1.0) & (0.2 * taken <= tiny)
         early = behind & ~at_once
-        hides = tried.doubt.hides & ~blinks & known
+        hides = tried.doubt.hides & known & ~brief & ~looks
         good = (size <= 1.0) & (known | blinks) & ~behind & ~hides
         begins = good & negative & ~c.searching
         flies = c.place.mode == Mode.FLYING
@@ -233,9 +243,11 @@ class Trials(eqx.Module):
         stays = jnp.abs(value) >= jnp.abs(c.bracket.value)
         stays &= off <= _STAYS * (1.0 + jnp.abs(tried.t))
         exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
-        found = c.searching & known & ~hides & exact
+        # what is left until a change may be too short for the clock from the start
+        exact = jnp.where(c.searching, exact, begins & closed)
+        found = known & ~hides & exact
         turned = found & self.has_turned(c.place, tried.end, kind)
-        event = (found & ~turned) | at_once
+        event = (found & ~turned) | at_once | (good & ends)
         accept = (good & ~negative & ~c.searching) | event | turned
         step = self.next_step(c, tried, size, early | ~known)
         step = jnp.minimum(step, tried.doubt.next * taken)

@@ -27,6 +27,9 @@ from .mode_replay import Place
 from .modes import Mode, ModedState, slipping
 from .transitions import Motion
 
+# Of the largest that was seen: four times what contact events are found to
+NOTHING = 4e-12
+
 
 class Watched(NamedTuple):
     """What the loop carries of them.
@@ -34,6 +37,9 @@ class Watched(NamedTuple):
     Attributes:
         search: What is known of their values.
         trial: Length of the next try, while one is looked for [s].
+        changes: Whether the step in which one is looked for ends on a change.
+        size: The largest of each that was seen, shape (E,).
+        passed: Which were found, and have been no more than rounding since, shape (E,).
         time: Of those that are kept [s], shape (R,).
         row: Where their states are shown, shape (R,).
         number: How often each happened, shape (E,).
@@ -43,6 +49,9 @@ class Watched(NamedTuple):
 
     search: Search
     trial: Array
+    changes: Array
+    size: Array
+    passed: Array
     time: Array
     row: Array
     number: Array
@@ -53,13 +62,45 @@ class Watched(NamedTuple):
     def begun(events: Events, motion: Motion, at: Place) -> "Watched":
         """At the start of a run."""
         layout = layout_of(events)
-        search = Search.begun(at.t, values_in_mode(events, motion, at))
+        values = values_in_mode(events, motion, at)
+        search = Search.begun(at.t, values)
         none = jnp.full(layout.capacity, jnp.nan, at.t.dtype)
         counts = jnp.zeros(len(layout.ways), int)
         whole = jnp.asarray(0)
         rows = jnp.zeros(layout.capacity, int)
         zero = jnp.zeros_like(at.t)
-        return Watched(search, zero, none, rows, counts, whole - 1, whole)
+        begun = search, zero, jnp.asarray(False), jnp.abs(values), values != values
+        return Watched(*begun, none, rows, counts, whole - 1, whole)
+
+    def ends_on_change(
+        self, taken: Float[Array, ""], tiny: Float[Array, ""]
+    ) -> Bool[Array, ""]:
+        """Whether a try ends where the whole step met a change.
+
+        Args:
+            taken: Its length [s].
+            tiny: No shorter step can be made [s].
+        """
+        looks = self.search.active & self.changes
+        return looks & (taken >= self.search.whole - tiny)
+
+    def looked(self, look: "Look", changes: Bool[Array, ""]) -> "Watched":
+        """With what a tried step has of them.
+
+        Args:
+            look: What that is.
+            changes: Whether it ends on a change of the contact.
+        """
+        changes = jnp.where(self.search.active, self.changes, changes)
+        size = jnp.where(look.stands, self.size_with(look.values), self.size)
+        small = jnp.abs(look.search.values) <= NOTHING * size
+        passed = jnp.where(look.stands, small & (self.passed | look.fires), self.passed)
+        parts = {"search": look.search, "trial": look.trial, "passed": passed}
+        return self._replace(changes=changes, size=size, **parts)
+
+    def size_with(self, values: Float[Array, " E"]) -> Float[Array, " E"]:
+        """The largest of each, with those of one more moment."""
+        return jnp.maximum(self.size, jnp.abs(values))
 
     @property
     def left(self) -> "Kept":
@@ -144,6 +185,7 @@ def looked_at(
     begin: Float[Array, ""],
     end: Place,
     good: Bool[Array, ""],
+    changes: Bool[Array, ""],
 ) -> Look:
     """A tried step, by what the events are at its end.
 
@@ -154,9 +196,15 @@ def looked_at(
         begin: Where the step begins [s].
         end: Where it ends, before anything changes.
         good: Whether it stands for the contact.
+        changes: Whether it ends on a change.
     """
     layout = layout_of(events)
     values = values_in_mode(events, motion, end)
+    # a value that is no more than rounding has no sign: behind a change, until it is
+    # more, nor where a step ends on one, which then is where it reaches zero
+    side, least = known.search.side, NOTHING * known.size_with(values)
+    none = (jnp.abs(values) <= least) & ((side == 0.0) | changes)
+    values = jnp.where(none, side * least, values)
     unseen = jnp.any(jnp.isnan(known.search.values))
     lost = jnp.any(jnp.isnan(values)) | unseen
     fine = good & ~lost
@@ -183,21 +231,41 @@ def behind(
     events: Events,
     motion: Motion,
     look: Look,
+    known: Watched,
     changed: Bool[Array, ""],
     after: Place,
 ) -> Look:
-    """A step that stands with what its end changed: values that jump there, too."""
+    """A step that stands with what its end changed: values that jump there, too.
+
+    A change is found to a share of what it was seen by, so that a value that reaches
+    zero with it may not be quite there: it has reached it, if it is that small. Behind
+    the change such a value begins at zero.
+
+    Args:
+        events: What is looked for.
+        motion: Rates in all modes.
+        look: What the step has of them.
+        known: What was known before it.
+        changed: Whether its end changes the mode.
+        after: What follows.
+    """
     s, layout = look.search, layout_of(events)
     anew = lambda: values_in_mode(events, motion, after)
     values = cast(Array, jax.lax.cond(changed, anew, lambda: s.values))
     ways = jnp.asarray(layout.ways, values.dtype)
-    jumps = changed & (s.side != 0.0) & (jnp.sign(values) != s.side) & (ways != s.side)
+    least = NOTHING * known.size_with(look.values)
+    small = changed & (jnp.abs(values) <= least)
+    values = jnp.where(small, 0.0, values)
+    reached = jnp.where(known.passed, 0.0, known.search.side)
+    side = jnp.where(small, reached, s.side)
+    jumps = changed & (side != 0.0) & (jnp.sign(values) != side) & (ways != side)
     jumps = jumps & (look.values != 0.0)  # from zero: it was there before
     fires = look.fires | jumps
-    side = jnp.where(changed & (values != 0.0), jnp.sign(values), s.side)
-    side = jnp.where(jumps & (values == 0.0), -s.side, side)
-    zero = jnp.where(fires, after.t, s.zero)
-    search = s._replace(values=values, side=side, zero=zero)
+    search = s._replace(
+        values=values,
+        side=jnp.where(changed, jnp.sign(values), s.side),
+        zero=jnp.where(fires, after.t, s.zero),
+    )
     return look._replace(fires=fires, search=search)
 
 
