@@ -33,7 +33,18 @@ def empty(tree):
     return jax.tree.map(lambda x: jnp.zeros((0, *x.shape), x.dtype), tree)
 
 
+IN_FLIGHT = rk.release(SCENE, LEVEL, STILL, (0.0, 0.0, 0.2), STILL)
 REFUSED = {
+    "a body in flight without modes": (
+        lambda: rk.simulate(SCENE, IN_FLIGHT, TIMES),
+        "simulate.start",
+        r"in flight.*give modes=",
+    ),
+    "bodies in flight without modes": (
+        lambda: rk.ensemble(SCENE, [IN_FLIGHT, IN_FLIGHT], TIMES),
+        "simulate.start",
+        r"in flight.*give modes=",
+    ),
     "scene and start swapped": (
         lambda: rk.simulate(START, SCENE, TIMES),
         "simulate.scene",

@@ -128,6 +128,10 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
         if isinstance(start, list):
             remedy += "; several starts are rollkane.ensemble's"
         raise FieldError(where, start, "must be a State", remedy)
+    if isinstance(start, FlyingState) and scene.contact.touches:
+        problem = "is in flight, and a contact law holds a body that touches its base"
+        remedy = "give modes=rollkane.Modes(restitution=...), or place the body"
+        raise FieldError(where, start, problem, remedy)
     form = _form_of(scene)
     if form.slips != type(start).slips:
         raise FieldError(
