@@ -118,6 +118,22 @@ def test_slow_modes_beside_a_fast_one():
     np.testing.assert_allclose(found, [*slow, fast], rtol=2e-7)
 
 
+def test_swings_of_similar_balls_are_similar():
+    """Froude's law: of lengths L times go as the root of L, and multipliers stay."""
+    found = []
+    for L in (1.0, 1e-5):
+        inertia = 0.4 * (0.1 * L) ** 2 * np.eye(3)
+        ball = rk.Body(1.0, inertia, rk.Sphere(0.1 * L))
+        bowl = rk.Graph(height, {"a": 1.0 / L, "b": 1.7 / L})
+        scene = rk.Scene(ball, rk.Base(bowl))
+        rest = rk.place(scene, UPRIGHT, STILL, STILL)
+        motion = rk.normal_mode_motion(scene, rest, 0.5, mode=1)  # half a radian
+        found.append((motion.period / np.sqrt(L), motion.multipliers))
+    # runs at rtol 1e-12 of some 1e2 steps
+    assert found[1][0] == pytest.approx(found[0][0], rel=1e-10)
+    np.testing.assert_allclose(found[1][1], found[0][1], atol=1e-8)
+
+
 def test_a_family_goes_to_its_span_s_end_beside_the_rest():
     """The end lies between the last step and the rest that it would pass."""
     low, high = (-G * (R - r) * np.cos(angle) for angle in (0.02, 0.7))
