@@ -77,13 +77,12 @@ class Loop(Trials):
         if self.landings.jumps is not None:
             begin = jnp.where(lands, self.landings.starts[c.landing], tried.t)
             following = after._replace(t=begin)
-        watched, shown = c.watched, output
+        watched, shown, record = c.watched, output, c.record
         if look is not None and watched is not None:
             look = behind(self.events, self.motion, look, watched, happens, after)
             layout, outputs = layout_of(self.events), self.times.shape[0]
             watched = watched.looked(look, event)
             watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
-        record = c.record
         if record is not None:
             number, value = jnp.where(event, kind, -1), end.values[kind]
             row = tried.t, following.t, number, value, shown
