@@ -27,7 +27,10 @@ def of_reached(quantity: Callable[[Any], Any], state: Any) -> Any:
 
     Its derivatives are NaN where they use an output that was not reached, else exact.
     """
-    reached = ~(_missing(state.angular_velocity) & _missing(state.orientation))
+    # in Voronets coordinates there is no orientation
+    known = [state.angular_velocity, getattr(state, "orientation", None)]
+    missing = [_missing(x) for x in known if x is not None]
+    reached = ~jnp.all(jnp.stack(missing), axis=0)
     values = quantity(_with_stand_ins(state, reached))
     # truth values and whole numbers cannot tell: they are those of the states of NaN
     numeric = map(_is_number, jax.tree.leaves(values))
