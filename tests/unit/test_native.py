@@ -175,37 +175,37 @@ def step_by_jax(queue, i, derivative=rates):
     return at
 
 
-@pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_every_operation_gives_what_jax_gives(dtype):
-    """One step of 0.1 s, whatever its error: equal to some tens of roundings."""
+def steps_of(derivative, dtype, lanes=None):
+    """Ends of one step of 64 motions, in C and by JAX, and how far the latter moved."""
     queue = queue_of(64, dtype)
     tolerant = np.full_like(queue.atol, 1e9)
     steps = np.full_like(queue.first_steps, 0.1)
     queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
-    results = loop_of(dtype=dtype).run(queue, STOPS)
-    assert results.final_y.dtype == dtype
-    by_jax = jax.jit(rates)
+    found = loop_of(derivative, dtype, lanes).run(queue, STOPS).final_y
+    by_jax = jax.jit(derivative)
     ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    return found, ends, ends - queue.starts
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_every_operation_gives_what_jax_gives(dtype):
+    """One step of 0.1 s, whatever its error: equal to some tens of roundings."""
+    found, ends, moved = steps_of(rates, dtype)
+    assert found.dtype == dtype
     close = 50 * np.finfo(dtype).eps
-    np.testing.assert_allclose(results.final_y, ends, rtol=0, atol=close)
-    assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4  # the rates do differ
+    np.testing.assert_allclose(found, ends, rtol=0, atol=close)
+    assert np.ptp(moved, axis=0).min() > 1e-4  # the rates do differ
 
 
 @pytest.mark.parametrize("lanes", [1, None])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_tables_choices_and_whole_numbers_give_what_jax_gives(dtype, lanes):
     """Likewise, one number a lane and several."""
-    queue = queue_of(64, dtype)
-    tolerant = np.full_like(queue.atol, 1e9)
-    steps = np.full_like(queue.first_steps, 0.1)
-    queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
-    found = loop_of(further, dtype, lanes).run(queue, STOPS).final_y
-    by_jax = jax.jit(further)
-    ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    found, ends, moved = steps_of(further, dtype, lanes)
     close = 50 * np.finfo(dtype).eps
     np.testing.assert_allclose(found, ends, rtol=0, atol=close)
     assert np.isfinite(ends).all()
-    assert np.ptp(ends - queue.starts, axis=0).min() > 1e-4
+    assert np.ptp(moved, axis=0).min() > 1e-4
 
 
 @pytest.mark.parametrize("lanes", [1, None])
@@ -225,16 +225,10 @@ def test_whole_numbers_wrap_as_in_xla(dtype, lanes):
         # what they are numbers of stays, so that no stage moves where they jump
         return jnp.pad(jnp.sum(padded.reshape(-1, half), axis=0), (half, 0))
 
-    queue = queue_of(64, dtype)
-    tolerant = np.full_like(queue.atol, 1e9)
-    steps = np.full_like(queue.first_steps, 0.1)
-    queue = queue._replace(max_steps=1, atol=tolerant, first_steps=steps)
-    found = loop_of(rates, dtype, lanes).run(queue, STOPS).final_y
-    by_jax = jax.jit(rates)
-    ends = np.stack([step_by_jax(queue, i, by_jax) for i in range(64)])
+    found, ends, moved = steps_of(rates, dtype, lanes)
     close = 50 * np.finfo(dtype).eps  # sums of some ten parts of about one
     np.testing.assert_allclose(found, ends, rtol=0, atol=close)
-    assert np.ptp((ends - queue.starts)[:, half:], axis=0).min() > 1e-3
+    assert np.ptp(moved[:, half:], axis=0).min() > 1e-3
 
 
 def test_numbers_that_c_does_not_have_are_refused():

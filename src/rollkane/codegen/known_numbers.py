@@ -46,9 +46,7 @@ def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) ->
     if known is not None and (name != "div" or dtype.kind == "f"):
         return dtype.type(known(*operands))
     cut = isinstance(operands[0], REAL) and dtype.kind in "iu"  # by XLA's own rules
-    if name in ("copy", "stop_gradient") or (
-        name == "convert_element_type" and not cut
-    ):
+    if name in ("copy", "convert_element_type", "stop_gradient") and not cut:
         return operands[0].astype(dtype)
     # rare: whatever XLA makes of it
     primitive = getattr(jax.lax, name + "_p")

@@ -200,12 +200,10 @@ def _converted(x: Symbol, dtype: np.dtype, row: bool) -> str:
     kind = type_of(dtype)
     if kind == "real":  # of a real one: a program has one precision
         return _real(x, row)
+    if kind == "truth" and x.whole:
+        return f"ne_whole{ending}({x.text}, {_written(np.int64(0), row)})"
     if kind == "truth":
-        return (
-            f"ne_whole{ending}({x.text}, {_written(np.int64(0), row)})"
-            if x.whole
-            else f"{x.text} != (real)0"
-        )
+        return f"{x.text} != (real)0"
     if x.truth:
         return f"whole_of_mask({x.text})" if row else f"(int64_t){x.text}"
     by_type = in_range if x.whole else of_real

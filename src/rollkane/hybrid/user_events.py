@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.event_layout import Layout
@@ -27,8 +28,8 @@ from .mode_replay import Place
 from .modes import Mode, ModedState, slipping
 from .transitions import Motion
 
-# Of the largest that was seen: four times what contact events are found to
-NOTHING = 4e-12
+# Of the largest that was seen: the contact's own events are found four times as closely
+_NOTHING = 4e-12
 
 
 class Watched(NamedTuple):
@@ -69,8 +70,10 @@ class Watched(NamedTuple):
         whole = jnp.asarray(0)
         rows = jnp.zeros(layout.capacity, int)
         zero = jnp.zeros_like(at.t)
-        begun = search, zero, jnp.asarray(False), jnp.abs(values), values != values
-        return Watched(*begun, none, rows, counts, whole - 1, whole)
+        still, never = jnp.zeros_like(values), jnp.zeros(values.shape, bool)
+        begun = search, zero, jnp.asarray(False), still, never
+        begun = Watched(*begun, none, rows, counts, whole - 1, whole)
+        return begun._replace(size=begun.size_with(values))
 
     def ends_on_change(
         self, taken: Float[Array, ""], tiny: Float[Array, ""]
@@ -93,14 +96,20 @@ class Watched(NamedTuple):
         """
         changes = jnp.where(self.search.active, self.changes, changes)
         size = jnp.where(look.stands, self.size_with(look.values), self.size)
-        small = jnp.abs(look.search.values) <= NOTHING * size
+        small = jnp.abs(look.search.values) <= self.least(look.values)
         passed = jnp.where(look.stands, small & (self.passed | look.fires), self.passed)
         parts = {"search": look.search, "trial": look.trial, "passed": passed}
         return self._replace(changes=changes, size=size, **parts)
 
     def size_with(self, values: Float[Array, " E"]) -> Float[Array, " E"]:
         """The largest of each, with those of one more moment."""
-        return jnp.maximum(self.size, jnp.abs(values))
+        known = jnp.where(jnp.isfinite(values), jnp.abs(values), 0.0)
+        return jnp.maximum(self.size, known)
+
+    def least(self, values: Float[Array, " E"]) -> Float[Array, " E"]:
+        """Of each value at such a moment, what is more than rounding."""
+        share = max(_NOTHING, 16.0 * float(np.finfo(values.dtype).eps))
+        return share * self.size_with(values)
 
     @property
     def left(self) -> "Kept":
@@ -202,7 +211,7 @@ def looked_at(
     values = values_in_mode(events, motion, end)
     # a value that is no more than rounding has no sign: behind a change, until it is
     # more, nor where a step ends on one, which then is where it reaches zero
-    side, least = known.search.side, NOTHING * known.size_with(values)
+    side, least = known.search.side, known.least(values)
     none = (jnp.abs(values) <= least) & ((side == 0.0) | changes)
     values = jnp.where(none, side * least, values)
     unseen = jnp.any(jnp.isnan(known.search.values))
@@ -253,11 +262,12 @@ def behind(
     anew = lambda: values_in_mode(events, motion, after)
     values = cast(Array, jax.lax.cond(changed, anew, lambda: s.values))
     ways = jnp.asarray(layout.ways, values.dtype)
-    least = NOTHING * known.size_with(look.values)
+    least = known.least(look.values)
     small = changed & (jnp.abs(values) <= least)
     values = jnp.where(small, 0.0, values)
-    reached = jnp.where(known.passed, 0.0, known.search.side)
-    side = jnp.where(small, reached, s.side)
+    # found on the way here, and no more than rounding since
+    once = small & known.passed & (jnp.abs(look.values) <= least)
+    side = jnp.where(once, 0.0, s.side)
     jumps = changed & (side != 0.0) & (jnp.sign(values) != side) & (ways != side)
     jumps = jumps & (look.values != 0.0)  # from zero: it was there before
     fires = look.fires | jumps

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, TypeAlias, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Literal, jaxpr_as_fun
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
 
+from ..codegen.dependence import reached_outputs
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes
 from ..kinematics.coordinates import State
@@ -263,12 +264,7 @@ def _made(function: Callable[..., Any]) -> _Made:
 @functools.lru_cache(maxsize=16)
 def _compiled(traced: _Traced) -> _Made:
     program = traced.program
-    own = set(program.jaxpr.invars)
-    depends: Callable[[Any], bool] = lambda x: not isinstance(x, Literal) and x in own
-    for equation in program.jaxpr.eqns:
-        if any(map(depends, equation.invars)):
-            own.update(equation.outvars)
-    axes = tuple(0 if depends(x) else None for x in program.jaxpr.outvars)
+    axes = tuple(0 if own else None for own in reached_outputs(program.jaxpr))
     again = cast("Callable[[Array], list[Array]]", jaxpr_as_fun(program))
     return _Made(traced.one, axes, jax.jit(jax.vmap(again, out_axes=list(axes))))
 

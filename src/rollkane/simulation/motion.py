@@ -18,8 +18,8 @@ from ..hybrid.modes import Mode, ModedState, by_mode
 from ..kinematics.coordinates import State
 from ..validation.codes import Code
 from .event_record import Crossings
-from .reached_outputs import of_reached
 from .rolling_body_result import RollingBodyResult
+from .unreached_outputs import of_reached
 
 Observable: TypeAlias = Callable[[Scene, Float[Array, ""], Any], Any]
 
