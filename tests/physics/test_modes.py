@@ -12,6 +12,7 @@ import rollkane as rk
 from rollkane.dynamics.observables import friction_ratio
 from rollkane.validation.checks import FieldError
 from tests.problems import reference_case
+from tests.quick import slow_but
 
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 G, R, MASS = 9.81, 0.11, 6.0
@@ -599,3 +600,45 @@ def test_a_run_goes_on_from_its_final_state():
             run(state, 0.2, 0.6)
         with pytest.raises(rk.FieldError, match=r"final_state\.in_its_mode"):
             rk.simulate(ball, state, (0.2, 0.6))
+
+
+# -- released in touch -----------------------------------------------------------------
+
+
+def released(scene, gap, velocity, **how):
+    """A ball that turns, let go so far above its base; where it is after a second."""
+    spin = (0.0, 20.0, 0.0)
+    start = rk.release(scene, UP, spin, (0.0, 0.0, R + gap), velocity)
+    modes = rk.Modes(friction=0.3, restitution=0.5)
+    return rk.simulate(scene, start, (0.0, 1.0), modes=modes, **how)
+
+
+@pytest.mark.parametrize("method", slow_but(["native"], ["native", "diffrax"]))
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-9])
+def test_a_ball_let_go_in_touch_slips_until_it_rolls(gap, method):
+    """Was stuck 2e-8 s behind its start for gaps below 1e-12 m."""
+    run = released(LANE, gap, STILL, method=method)
+    assert run.succeeded
+    assert int(run.switches.count) == 2
+    # it falls for sqrt(2 gap / g), or until it is down by the 64 roundings of 0.2 m
+    # that a gap has: 3e-15 m, 2.5e-8 s, and twice that by its steps
+    lands, rolls = run.switches.time[:2]
+    assert lands < (2.0 * gap / G) ** 0.5 + 5e-8
+    # its point slips at R w, and friction takes 3.5 mu g of that a second
+    known = 20.0 * R / (3.5 * 0.3 * G)
+    # by how long it fell, and what friction in the impact took: mu g times as long
+    np.testing.assert_allclose(rolls, known, rtol=0, atol=2.0 * float(lands) + 1e-10)
+
+
+def test_a_ball_in_touch_that_is_carried_away_flies():
+    run = released(LANE, 0.0, (0.0, 0.0, 3.0))
+    assert run.succeeded
+    # 2 v / g, found to 1e-11 s
+    np.testing.assert_allclose(run.switches.time[0], 6.0 / G, rtol=0, atol=1e-10)
+    sinks = lambda t, a: jnp.stack([0.0 * t, 0.0 * t, -0.5 * a * t**2])
+    falls = rk.BaseMotion(sinks, parameters=jnp.asarray(12.0))
+    run = released(rk.Scene(BALL, rk.Base(rk.Plane(), falls)), 0.0, STILL)
+    assert run.succeeded
+    assert int(run.switches.count) == 0
+    # the base falls by 12 m/s^2, the ball by 9.81
+    np.testing.assert_allclose(run.position[-1, 2], R - 0.5 * G, rtol=0, atol=1e-9)

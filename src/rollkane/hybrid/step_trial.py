@@ -194,6 +194,20 @@ class Trials(eqx.Module):
         opens = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
         return jnp.where(opens, -rounding(c.place.y, self.reach), zero)
 
+    def falls_back(self, c: Run, tried: Tried, rate: Float[Array, ""]) -> Array:
+        """Whether a flight ends where it begins: its body comes back, or never left.
+
+        Its gap is rounding then, but as it would be from how fast it closes: that of a
+        force that vanished would be a third power, and opens.
+        """
+        if self.reach is None:
+            return jnp.asarray(False)
+        gap, flies = tried.end.values[0], c.place.mode == Mode.FLYING
+        slack = rounding(c.place.y, self.reach)
+        near = flies & jnp.isnan(c.values[0]) & (jnp.abs(gap + slack) <= slack)
+        closes = rate * (tried.t - c.place.t) <= jnp.minimum(gap, -slack / 64.0)
+        return near & closes
+
     def rate_of(self, at: Place, tried: Tried, kind: Int[Array, ""]) -> Array:
         """About how fast an event's value changes at the end of a step."""
         motion, end = self.motion, tried.end
@@ -217,25 +231,23 @@ class Trials(eqx.Module):
         # an output right behind an event: too close for anything to happen between
         brief, looks = taken <= tiny, c.looks
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
-        # one search at a time: a try within a step that stood has no change to look for
-        negative = ~(least >= self.least_value(c)) & ~blinks & ~looks
         kind = self.first_of(c, tried.end.values, share)
-        # of rounding the share says nothing: it is the one that was looked for
-        lasts = looks | (c.searching & (share[kind] > _TOGETHER))
-        kind = jnp.where(lasts, c.kind, kind)
         ends = jnp.asarray(False)
         if c.watched is not None:
             ends = c.watched.ends_on_change(taken, tiny)
+        value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
+        falls = self.falls_back(c, tried, rate)
+        # one search at a time: a try within a step that stood has no change to look for
+        negative = ((~(least >= self.least_value(c)) & ~blinks) | falls) & ~looks
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
         behind = jnp.isnan(c.values[0]) & negative & known
-        at_once = behind & (size <= 1.0) & (0.2 * taken <= tiny)
+        at_once = behind & (size <= 1.0) & (falls | (0.2 * taken <= tiny))
         early = behind & ~at_once
         hides = tried.doubt.hides & known & ~brief & ~looks
         good = (size <= 1.0) & (known | blinks) & ~behind & ~hides
         begins = good & negative & ~c.searching
         flies = c.place.mode == Mode.FLYING
-        value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
         bracket = c.bracket.after(begins, taken, value, rate, flies)
         closed = bracket.high - bracket.low <= tiny
         off = jnp.abs(bracket.off)
@@ -273,7 +285,8 @@ class Trials(eqx.Module):
         """Which event comes first, of those that a step ends behind: the worst.
 
         Where the contact ends, so does its grip: what counts is that it ends, if no
-        friction is left there. Else the grip was lost before, and is looked for.
+        friction is left there. Else the grip was lost before, and is looked for. Of
+        values that are rounding no share is known: it is the one that was looked for.
         """
         worst, hold = jnp.argmin(share), self.motion.modes.static_friction
         least = -_TOGETHER * _scale(c.values)[0]
@@ -282,7 +295,9 @@ class Trials(eqx.Module):
             # -sqrt(m^2 + |T|^2) of |T| < |m|, 1.4 |m| at most (ModeRates._grip)
             spent = 2.0 * hold * jnp.abs(values[1]) + _TOGETHER * _scale(c.values)[1]
             least = jnp.where(c.place.mode == Mode.ROLLING, -spent, least)
-        return jnp.where((share[1] <= _TOGETHER) & (values[0] >= least), 1, worst)
+        kind = jnp.where((share[1] <= _TOGETHER) & (values[0] >= least), 1, worst)
+        lasts = c.looks | (c.searching & (share[kind] > _TOGETHER))
+        return jnp.where(lasts, c.kind, kind)
 
     def next_step(
         self, c: Run, tried: Tried, size: Float[Array, ""], early: Bool[Array, ""]
