@@ -206,6 +206,38 @@ def test_searches_that_leave_nothing_have_derivatives(name):
     np.testing.assert_allclose(turned, across, atol=2e-8)
 
 
+@pytest.mark.parametrize("off", [-0.2, 0.1, 0.5])
+@pytest.mark.parametrize("kind", ["chart", "revolution"])
+def test_the_nearest_point_moves_as_its_curvatures_say(kind, off):
+    """Of a point off the surface: by 1 / (1 + off * curvature) along each of them."""
+    if kind == "chart":
+        egg = rk.Parametric(
+            lambda q: jnp.stack(
+                [
+                    jnp.cos(q[1]) * jnp.cos(q[0]),
+                    jnp.cos(q[1]) * jnp.sin(q[0]),
+                    0.8 * jnp.sin(q[1]),
+                ]
+            )
+        )
+    else:
+        egg = rk.Revolution(lambda s: (jnp.sin(s), -0.8 * jnp.cos(s)))
+    s = 2.4  # parameter of the meridian: (sin s, -0.8 cos s) in the plane y = 0
+    place = jnp.asarray([np.sin(s), 0.0, -0.8 * np.cos(s)])
+    speed = np.hypot(np.cos(s), 0.8 * np.sin(s))
+    along = np.array([np.cos(s), 0.0, 0.8 * np.sin(s)]) / speed
+    normal = np.array([0.8 * np.sin(s), 0.0, -np.cos(s)]) / speed
+    # an ellipse's own, and the share of 1 / radius that its normal leaves (Meusnier)
+    bent = 0.8 / speed**3, normal[0] / np.sin(s)
+    ways = along, np.array([0.0, 1.0, 0.0])
+    shares = (1.0 / (1.0 + off * k) for k in bent)
+    known = sum(x * np.outer(e, e) for x, e in zip(shares, ways, strict=True))
+    nearest = lambda p: egg.geometry(egg.locate(p)).position
+    moved = jax.jit(jax.jacfwd(nearest))(place + off * normal)
+    # roundings, over 1 + off * curvature >= 0.6
+    np.testing.assert_allclose(moved, known, rtol=0, atol=1e-13)
+
+
 @pytest.mark.parametrize("height", [-1.0, 1.0])
 def test_a_normal_at_a_pole_is_found_with_its_derivative(height):
     """An egg on either end: its point moves by the radius of curvature, a^2 / c."""

@@ -61,6 +61,9 @@ def release(
 ) -> FlyingState:
     """The state of a body that is let go above its base, for a run with ``modes``.
 
+    The nearest points have first derivatives; their second ones are not right (runs with
+    ``modes`` refuse them).
+
     Args:
         scene: What will fall on what.
         orientation: Unit quaternion, scalar first, body to fixed axes [1], shape (4,).

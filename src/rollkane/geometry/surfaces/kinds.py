@@ -123,7 +123,7 @@ class AbstractPointSurface(AbstractSurface):
         """Coordinates of the nearest surface point, by Gauss-Newton from samples."""
         fixed = jax.lax.stop_gradient(point)
         seed = self._nearest_sample(fixed)
-        return self._refine(seed, _step_to(fixed), _step_to(point))
+        return self._refine(seed, _step_to(fixed), _newton_step_to(point))
 
     def nearest(self, point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
         """The nearest surface point about a point, by a few steps; no derivatives."""
@@ -288,6 +288,21 @@ def _step_to(target: Float[Array, "3"]) -> _Step:
         offset = target - geometry.position
         across = matvec_transposed(geometry.frame[:, :2], offset)
         return solve_2x2(geometry.lengths, across)
+
+    return step
+
+
+def _newton_step_to(target: Float[Array, "3"]) -> _Step:
+    """Newton's step there: tangents turn on the way, ``d t_i = e3 W dx``, (2.3).
+
+    Beside the nearest point of a target off the surface the other one does not lead
+    to the next one at once: its derivative is not the nearest point's.
+    """
+
+    def step(geometry: LocalGeometry) -> Array:
+        across = matvec_transposed(geometry.frame, target - geometry.position)
+        slope = geometry.lengths - across[2] * geometry.frame_rates
+        return solve_2x2(slope, across[:2])
 
     return step
 
