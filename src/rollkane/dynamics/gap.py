@@ -61,8 +61,8 @@ def release(
 ) -> FlyingState:
     """The state of a body that is let go above its base, for a run with ``modes``.
 
-    The nearest points have first derivatives; their second ones are not right (runs with
-    ``modes`` refuse them).
+    The nearest points have first derivatives; their second ones are not right (runs
+    with ``modes`` refuse them).
 
     Args:
         scene: What will fall on what.
