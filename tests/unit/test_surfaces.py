@@ -206,6 +206,18 @@ def test_searches_that_leave_nothing_have_derivatives(name):
     np.testing.assert_allclose(turned, across, atol=2e-8)
 
 
+@pytest.mark.parametrize("place", [(0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (0.6, 0.0, 0.8)])
+def test_points_of_an_egg_move_with_their_direction(place):
+    """Also at its poles, whose meridians all begin alike."""
+    egg = rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.12 * jnp.cos(s)))
+    moved = jax.jacfwd(egg.point)(jnp.asarray(place))
+    # (0.1, 0.1, -0.12) times the direction, of which what is across it counts
+    across = np.eye(3) - np.outer(place, place)
+    np.testing.assert_allclose(
+        moved, np.diag([0.1, 0.1, -0.12]) @ across, rtol=0, atol=1e-15
+    )
+
+
 @pytest.mark.parametrize("off", [-0.2, 0.1, 0.5])
 @pytest.mark.parametrize("kind", ["chart", "revolution"])
 def test_the_nearest_point_moves_as_its_curvatures_say(kind, off):

@@ -194,12 +194,6 @@ class Revolution(AbstractPointSurface):
             frame_rates=jnp.stack([jnp.stack([w11, zero]), jnp.stack([zero, w22])]),
         )
 
-    def point(self, u: Float[Array, " k"]) -> Float[Array, "3"]:
-        """The surface point at ``u`` [m]."""
-        place = self._place(u)
-        r, z = components(meridian_of(self.profile)(place.s))
-        return jnp.stack([r * place.cosine, r * place.sine, z])
-
     def neighbour(self, u: Float[Array, " k"], x: Float[Array, "2"]) -> Array:
         """Coordinates beside, by steps along the meridian and round."""
         return u + self._steps(u, x)
