@@ -56,6 +56,35 @@ def test_order_and_other_columns_do_not_matter(csv_file):
     )
 
 
+@pytest.mark.parametrize(
+    ("time", "rate", "worth"),
+    [
+        ("t [ms]", "[deg/s]", np.pi / 180.0),
+        ("t (msec)", "(deg/s)", np.pi / 180.0),
+        ("t[ms]", "_[rad/s]", 1.0),
+    ],
+)
+def test_units_in_columns_names_count(csv_file, time, rate, worth):
+    names = [f"w{axis} {rate}" for axis in "xyz"]
+    path = csv_file(",".join([time, *names]), "0,1,2,3", "10,4,5,6")
+    for source in (path, pandas.read_csv(path)):
+        record = rk.read_record(source, time, gyro=names)
+        np.testing.assert_array_equal(record.time, [0.0, 0.01])
+        known = worth * np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
+        np.testing.assert_array_equal(record.channels["gyro"].values, known)
+    # what is said counts more
+    record = rk.read_record(path, time, gyro=names, units={"gyro": "rad/s"})
+    np.testing.assert_array_equal(record.channels["gyro"].values[0], [1.0, 2.0, 3.0])
+
+
+def test_an_unknown_unit_in_a_columns_name_is_refused(csv_file):
+    names = [f"w{axis} [dps]" for axis in "xyz"]
+    path = csv_file(",".join(["t", *names]), "0,1,2,3", "0.1,4,5,6")
+    told = refusal(path, gyro=names)
+    assert "is no known unit of column 'wx [dps]', got 'dps'" in told
+    assert "units={'gyro': ...}, one of: rad/s, deg/s" in told
+
+
 def test_missing_samples(csv_file):
     path = csv_file(HEADER, "0,1,,3", "1e-2,nan,5,6", "2e-2,7,8, NaN")
     values = rk.read_record(path, **GYRO).channels["gyro"].values

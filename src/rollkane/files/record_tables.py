@@ -3,6 +3,7 @@
 import csv
 import difflib
 import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
@@ -17,6 +18,8 @@ from .file_endings import NETCDF, ending
 READER = "read_record"
 _MISSING = {"", "nan"}  # cells without a sample, in any case
 _SEPARATORS = "\t;,"  # that which the header has first of these separates cells
+# a column's name that ends in its unit: "wx [deg/s]", "ax (g)"
+_NAMED_UNIT = re.compile(r".+?[\s_]*(?:\[\s*([^][]+?)\s*\]|\(\s*([^()]+?)\s*\))$")
 
 
 class Table(NamedTuple):
@@ -27,7 +30,7 @@ class Table(NamedTuple):
         names: Of the columns, in order.
         cells: ``cells(name)`` -> a column's cells, of any type.
         row: ``row(k)`` -> what row k is called, for messages.
-        units: Units of columns, where the table has them.
+        units: Units of columns, where the table has them, or their names.
     """
 
     source: str
@@ -138,8 +141,14 @@ def _of_csv(path: str | os.PathLike[str]) -> Table:
         names=names,
         cells=cells,
         row=lambda k: f"line {numbers[k + 1] + 1}",
-        units={},
+        units=_named_units(names),
     )
+
+
+def _named_units(names: Sequence[str]) -> dict[str, str]:
+    """Units that columns have in brackets behind their names."""
+    found = ((name, _NAMED_UNIT.match(name)) for name in names)
+    return {name: m[1] or m[2] for name, m in found if m is not None}
 
 
 def _is_number(cell: str) -> bool:
@@ -191,7 +200,7 @@ def _of_frame(frame: Any) -> Table:
     names = [str(name) for name in frame.columns]
     given = zip(names, frame.columns, strict=True)
     columns = {name: np.asarray(frame[key]) for name, key in given}
-    return _of_columns("the data frame", columns, {})
+    return _of_columns("the data frame", columns, _named_units(names))
 
 
 def _of_columns(source: str, columns: dict[str, Any], units: dict[str, str]) -> Table:

@@ -14,13 +14,13 @@ from ..identification import body_sensors, sensors
 from ..identification.channels import AbstractChannel
 from ..identification.records import Record
 from ..validation.checks import FieldError
+from .accelerogram_units import TIMES
 from .accelerogram_units import UNITS as ACCELERATIONS
 from .record_tables import READER, Table, table_of
 
 Columns = str | Sequence[str]
 
 # what one unit is worth in that of the channel, which comes first
-_TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 _RATES = {"rad/s": 1.0, "deg/s": np.pi / 180.0}
 _ACCELERATIONS = {"m/s2": 1.0, "m/s^2": 1.0} | ACCELERATIONS
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -81,7 +81,8 @@ def read_record(
             one number or one for each column; left out, a fit estimates it.
         units: Of the columns by channel, where they are not SI: "deg/s"; "g", "cm/s2",
             "mm/s2"; "cm", "mm"; "mN", "kN"; "time": "ms", "us". A NetCDF file's own
-            units count without it.
+            units count without it, and those in brackets behind a column's name:
+            "wx [deg/s]", "ax (g)".
         at: Where a sensor or marker sits by channel, body axes [m], shape (3,).
         between: First and last time [s] of the rows that are kept, which keep their
             times; None for all, or for either end.
@@ -171,7 +172,7 @@ def _worth(
         own = table.units.get(name) if unit is None else unit
         if own is not None and own not in known:
             whose = "" if unit is not None else f" of column {name!r}"
-            remedy = f"use one of: {', '.join(known)}"
+            remedy = f"give units={{{channel!r}: ...}}, one of: {', '.join(known)}"
             field = f"{READER}.units[{channel!r}]"
             raise FieldError(field, own, f"is no known unit{whose}", remedy)
         worth[k] = 1.0 if own is None else known[own]
@@ -210,7 +211,7 @@ def _times(table: Table, column: str, unit: str | None) -> Float[np.ndarray, " T
             f'{np.median(steps):g} apart; give units={{"time": "ms"}} (or "s")'
         )
         warnings.warn(message, UserWarning, stacklevel=3)
-    return written * _worth(table, "time", [column], _TIMES, unit)
+    return written * _worth(table, "time", [column], TIMES, unit)
 
 
 def _kept(table: Table, times: Float[np.ndarray, " T"], between: Any) -> slice:
