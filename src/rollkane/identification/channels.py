@@ -63,6 +63,15 @@ class AbstractChannel(eqx.Module):
         """Samples without a misfit: what the sensor would have read."""
         return np.asarray(self.values) - misfit
 
+    def variation(self) -> Float[np.ndarray, "T m"]:
+        """Samples without their mean [unit of sigma], NaN where one is missing.
+
+        As many numbers a sample as its misfit has.
+        """
+        values = np.asarray(self.values)
+        counts = np.maximum(np.isfinite(values).sum(axis=0), 1)
+        return values - np.nansum(values, axis=0) / counts
+
 
 def samples_of(field: str, values: ArrayLike, columns: int | None) -> np.ndarray:
     """Samples as an array of two axes.

@@ -242,18 +242,18 @@ class Problem:
         return found
 
     def sizes(self) -> list[dict[str, np.ndarray]]:
-        """Samples over their deviations, without their mean, by record and channel."""
-        found: list[dict[str, np.ndarray]] = []
-        for groups in self.groups:
-            own: dict[str, np.ndarray] = {}
-            for group in groups:
-                for name, channel in group.channels.items():
-                    values = np.asarray(channel.values)
-                    counts = np.maximum(np.isfinite(values).sum(axis=0), 1)
-                    apart = values - np.nansum(values, axis=0) / counts
-                    own[name] = apart / np.mean(np.asarray(channel.sigma))
-            found.append(own)
-        return found
+        """Samples over their deviations, without their mean, by record and channel.
+
+        In the shape of the misfits.
+        """
+        return [
+            {
+                name: c.variation() / np.mean(np.asarray(c.sigma))
+                for g in groups
+                for name, c in g.channels.items()
+            }
+            for groups in self.groups
+        ]
 
     def sigmas(self) -> list[dict[str, np.ndarray]]:
         """Standard deviations of the noise, by record and channel."""

@@ -155,6 +155,14 @@ class Orientation(AbstractChannel):
         found = multiply(jnp.asarray(back.T), jnp.asarray((measured / size).T))
         return np.asarray(found).T
 
+    def variation(self) -> Float[np.ndarray, "T 3"]:
+        """Rotations from the mean orientation to the samples [rad]."""
+        measured = np.asarray(self.values)
+        known = measured[np.isfinite(measured).all(axis=1)]
+        # either sign is the same orientation: the axis that all lie nearest to
+        middle = np.linalg.eigh(known.T @ known)[1][:, -1]
+        return np.asarray(self.misfit(jnp.asarray(np.tile(middle, (len(measured), 1)))))
+
 
 class ContactPath(AbstractSensor):
     """Contact point on the base, BASE axes [m].
