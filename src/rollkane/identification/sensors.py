@@ -89,7 +89,8 @@ class Orientation(AbstractChannel):
     """Quaternions, scalar first, body to fixed axes.
 
     Their misfit is the rotation from the predicted to the measured one, FIXED axes
-    [rad], and so is their noise.
+    [rad], and so is their noise: along its axis, by ``2 sin(angle / 2)``, which of
+    small rotations is the angle.
 
     Attributes:
         values: Of any length but zero, either sign, shape (T, 4).
@@ -138,11 +139,14 @@ class Orientation(AbstractChannel):
         return contact.orientation / size
 
     def misfit(self, predicted: Float[Array, "T 4"]) -> Float[Array, "T 3"]:
-        """Rotation from the predicted to the measured orientation [rad]."""
+        """Rotation from the predicted to the measured orientation [rad].
+
+        Smooth up to half a turn, where it is 2 at most.
+        """
         size = jnp.sqrt(jnp.sum(self.values**2, axis=1, keepdims=True))
         back = predicted * jnp.array([[1.0, -1.0, -1.0, -1.0]])
         apart = multiply((self.values / size).T, back.T)
-        # of the shorter of the two ways round; 2 v / w is 2 tan(angle / 2)
+        # of the shorter of the two ways round
         along = jnp.where(apart[:1] < 0.0, -1.0, 1.0)
         return (2.0 * along * apart[1:]).T
 
@@ -150,7 +154,10 @@ class Orientation(AbstractChannel):
         """Unit quaternions from which the misfit's rotation leads to the samples."""
         measured = np.asarray(self.values)
         size = np.linalg.norm(measured, axis=1, keepdims=True)
-        back = np.concatenate([np.ones_like(size), -0.5 * misfit], axis=1)
+        sine = 0.5 * misfit
+        cosine = np.sqrt(np.maximum(1.0 - np.sum(sine**2, axis=1, keepdims=True), 0.0))
+        back = np.concatenate([cosine, -sine], axis=1)
+        # that of a sample which no run reaches is longer than any rotation
         back /= np.linalg.norm(back, axis=1, keepdims=True)
         found = multiply(jnp.asarray(back.T), jnp.asarray((measured / size).T))
         return np.asarray(found).T
