@@ -3,6 +3,9 @@
 Limits as in ``test_identification.py``: four standard errors.
 """
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
@@ -114,6 +117,44 @@ def test_sensors_and_their_places():
     assert (found.standard_errors["gyro.bias"] < 0.02).all()
     assert found.standard_errors["gyro.delay"] < 0.002
     assert found.chi2 / found.degrees_of_freedom < 1.0 + 4.0 * np.sqrt(2.0 / 230)
+
+
+def test_the_start_of_an_egg():
+    """Its orientation is found, and is that of the runs, where its contact is held."""
+    egg = rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.14 * jnp.cos(s)))
+    scene = rk.Scene(rk.Body(1.0, np.diag([4e-3, 4e-3, 3e-3]), egg))
+    spin = (0.3, 0.5, 2.0)
+    leaning = np.array([np.cos(0.2), np.sin(0.2), 0.0, 0.0])
+    run = rk.simulate(scene, rk.place(scene, leaning, spin, STILL), TIMES)
+    rates = noisy(run.state.angular_velocity, 0.01, 0)
+    channels = {
+        "gyro": rk.Gyro(rates, 0.01),
+        "pose": rk.Orientation(run.orientation, 0.01),
+    }
+    about = np.sin(0.25) * np.array([0.8, 0.6, 0.0])
+    guess = rk.place(scene, (np.cos(0.25), *about), spin, STILL)
+    free = [rk.Free("start.orientation"), rk.Free("start.angular_velocity")]
+    record = rk.Record(TIMES, channels)
+    found = rk.fit(scene, guess, record, free, strategy="single")
+    assert found.converged
+    within_four(found, "start.orientation", leaning)
+    begin = lambda scene, start: rk.simulate(scene, start, TIMES[:2]).orientation[0]
+    # one search for the normal, to rounding
+    begun = begin(found.scene, found.start)
+    known = found.estimates["start.orientation"]
+    np.testing.assert_allclose(begun, known, rtol=0, atol=1e-13)
+    stones = rk.FitCovariance(found)
+    drawn = stones.draw(jnp.full(stones.size, 0.9))
+    begun = begin(*stones.apply(drawn))
+    np.testing.assert_allclose(begun, drawn["start.orientation"], rtol=0, atol=1e-13)
+    # the likelihood falls off the estimate along every turn
+    tilt = jax.grad(
+        lambda q: rk.negative_log_likelihood(
+            scene, eqx.tree_at(lambda s: s.orientation, guess, q), record
+        )
+    )(guess.orientation)
+    about_y = np.array([-guess.orientation[2], 0.0, guess.orientation[0], 0.0])
+    assert abs(float(tilt @ about_y)) > 1.0
 
 
 def test_a_pendulum_in_a_shell():

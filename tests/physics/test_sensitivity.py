@@ -81,6 +81,51 @@ def test_sensitivities_are_differences():
     np.testing.assert_allclose(by_mass[0], exact, rtol=1e-12)
 
 
+EGG_IN_A_BOWL = {
+    "by its normal": rk.Ellipsoid((0.1, 0.1, 0.14)),
+    "of revolution": rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.14 * jnp.cos(s))),
+}
+
+
+def test_a_turned_start_touches_anew():
+    """A body that holds its contact point is turned as its twin that does not."""
+    turned = np.array([np.cos(0.35), 0.8 * np.sin(0.35), 0.6 * np.sin(0.35), 0.0])
+    deep = (0.3, 0.2, -np.sqrt(1.0 - 0.13))
+    paths = ["start.orientation", "start.contact_on_base", "base.surface.radius"]
+    found = {}
+    for name, surface in EGG_IN_A_BOWL.items():
+        body = rk.Body(1.0, np.diag([4e-3, 5e-3, 3e-3]), surface)
+        bowl = rk.Base(rk.Sphere(1.0, inside=True), rk.Spin(2.0, (0.96, 0.28, 0, 0)))
+        scene = rk.Scene(body, bowl)
+        start = rk.place(scene, turned, (0.3, 0.5, 2.0), deep, time=0.7)
+        times = np.linspace(0.7, 0.9, 5)
+        found[name] = rk.sensitivity(
+            scene, start, times, paths, {"spin": spin}, rtol=1e-11
+        )
+    twin, own = (found[name].values["spin"] for name in EGG_IN_A_BOWL)
+    for path in paths:
+        size = np.abs(twin[path]).max()
+        # no turn, nor a move, of the start is undone: not even of one number
+        if path == "start.orientation":
+            assert (np.abs(own[path]).max(axis=(0, 1)) > 0.1 * size).all()
+        # runs at rtol 1e-11, of some 100 steps
+        np.testing.assert_allclose(own[path], twin[path], rtol=0, atol=1e-8 * size)
+
+
+def test_a_cylinder_in_a_bowl_is_not_turned():
+    """No other point of it has the normal that it would need."""
+    scene = rk.Scene(
+        rk.Body(1.0, np.diag([4e-3, 4e-3, 3e-3]), rk.Cylinder(0.1)),
+        rk.Base(rk.Sphere(1.0)),
+    )
+    lying, top = (np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0), (0.0, 0.0, 1.0)
+    start = rk.place(scene, lying, (0.0, 1.0, 0.0), top)
+    for path in ("start.orientation", "start.contact_on_base"):
+        with pytest.raises(rk.FieldError, match="cannot change alone: no point") as no:
+            rk.sensitivity(scene, start, TIMES, path, {"spin": spin})
+        assert no.value.field == f"Free('{path}')"
+
+
 def test_sensitivities_as_a_dataset_and_a_picture(tmp_path):
     found = rk.sensitivity(SCENE, START, TIMES, "body.mass", {"spin": spin})
     held = found.to_xarray()

@@ -36,7 +36,7 @@ def scene_of(inertia=ASKEW, base=None):
 
 SCENE = scene_of()
 START = rk.place(SCENE, (1.0, 0.0, 0.0, 0.0), (8.0, 3.0, 2.0), (0.0, 0.0, 0.0))
-MODEL = Model(SCENE, START, MODES, RECORD.channels)
+MODEL = Model(SCENE, START, RECORD.start_time, MODES, RECORD.channels)
 
 
 def entry_of(*free, models=(MODEL,)):
@@ -171,7 +171,7 @@ def known_value(path):
 def test_every_number_that_is_offered_can_be_free(name):
     """And has the scene's value at the start."""
     file = load_scene(name)
-    model = Model(file.scene, file.start, None, {})
+    model = Model(file.scene, file.start, jnp.asarray(file.times[0]), None, {})
     offered = known_paths(model)
     assert {"body.mass", "body.inertia", "start.angular_velocity"} <= set(offered)
     for path in offered:

@@ -263,6 +263,22 @@ def test_a_normal_at_a_pole_is_found_with_its_derivative(height):
     np.testing.assert_allclose(moved, np.diag([1.0, 1.0, 0.0]) / 12.0, atol=1e-9)
 
 
+def test_a_search_from_a_place_stays_on_its_line():
+    """Of a cylinder a whole line has a normal: the place on it is that of the seed."""
+    normal = jnp.array([np.cos(0.7), np.sin(0.7), 0.0])
+    search = lambda u: rk.Cylinder(0.1).find_normal_from(normal, u)
+    seed = search(jnp.array([0.2, 0.3]))
+    point = rk.Cylinder(0.1).geometry(seed)
+    # Newton's method to rounding
+    np.testing.assert_allclose(point.normal, normal, rtol=0, atol=1e-14)
+    slopes = np.asarray(jax.jacfwd(search)(seed))
+    moved = np.asarray(jax.jacfwd(lambda u: rk.Cylinder(0.1).point(search(u)))(seed))
+    # along the line the place moves as its seed, across it not at all; slack of 1e-14
+    assert np.linalg.matrix_rank(slopes, tol=1e-6) == 1
+    assert np.abs(moved[2]).max() > 0.99
+    np.testing.assert_allclose(moved[:2], 0.0, rtol=0, atol=1e-12)
+
+
 def test_poles_of_a_meridian_are_regular():
     """At and beside each pole the curvatures are those of the sphere."""
     surface = SURFACES["closed revolution"]

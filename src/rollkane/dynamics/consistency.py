@@ -7,12 +7,25 @@ that a motion obeys them if its start does: it is made consistent once, there.
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from ..geometry.small_linear import components, dot, matvec, norm, solve_spd
+from ..geometry.rotations import rotation_matrix
+from ..geometry.small_linear import (
+    components,
+    dot,
+    matvec,
+    matvec_transposed,
+    norm,
+    solve_spd,
+)
+from ..geometry.surfaces import AbstractPointSurface
+from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import State
 from ..kinematics.voronets import VoronetsState
+from ..validation.checks import spoilt
 from .abstract_supported import rolling_parts
 from .mass_matrix import assemble
 from .rolling import contact_of
@@ -60,6 +73,43 @@ def consistent(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
         slip = matvec(contact.rotation, contact.slip)
         state = eqx.tree_at(lambda s: s.slip, state, slip)
     return state
+
+
+def with_contact_found(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
+    """The state whose contact on the body is where its orientation has it.
+
+    As ``place`` finds it, next to where the state has it: the orientation and the
+    contact on the base stay, where :func:`consistent` keeps the contacts and turns the
+    body. The same of the bodies that roll on it. NaN where the body has no such normal.
+
+    Args:
+        scene: What rolls on what.
+        t: Time [s].
+        state: Any; one in flight or in Voronets coordinates stays as it is.
+    """
+    if isinstance(state, VoronetsState):
+        return state
+    if state.supported:
+        pairs = zip(rolling_parts(scene.supported), state.supported, strict=True)
+        inner = tuple(with_contact_found(part.scene, t, own) for part, own in pairs)
+        state = eqx.tree_at(lambda s: s.supported, state, inner)
+    body, motion = scene.body.surface, scene.base.motion
+    if not (state.touches and scene.has_contact_coordinates):
+        return state
+    assert isinstance(body, AbstractPointSurface)
+    moving = None if motion is None else motion.at(t)
+    to_base = body_to_base(rotation_matrix(state.orientation), moving)
+    out = scene.base.surface.geometry(state.contact_on_base).normal
+    normal = -matvec_transposed(to_base, out)
+    found = body.find_normal_from(normal, state.contact_on_body)
+    apart = jax.lax.stop_gradient(norm(body.geometry(found).normal - normal))
+    found = spoilt(found, ~(apart <= looseness(normal.dtype)))
+    return eqx.tree_at(lambda s: s.contact_on_body, state, found)
+
+
+def looseness(dtype: DTypeLike) -> float:
+    """How far a user's rounded numbers may be off, relative [1]: half the digits."""
+    return 1e-6 if dtype == jnp.float64 else 1e-3
 
 
 def spin_stopped(scene: Scene, t: Float[Array, ""], state: State) -> State:

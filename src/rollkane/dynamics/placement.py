@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 from ..codegen import prepare_calls
@@ -23,7 +22,7 @@ from ..kinematics.surface_fit import opening_of
 from ..validation.checks import FieldError, is_traced, real_and_known, spoilt
 from .abstract_supported import rolling_parts
 from .clearance import clearance, may_touch_twice
-from .consistency import consistent
+from .consistency import consistent, looseness
 from .mass_matrix import assemble, field_of
 from .placement_errors import (
     Placed,
@@ -148,7 +147,7 @@ def _placed_looking(scene: Scene, asked: dict[str, Any]) -> Placed:
 def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
     """A state from checked shapes, with everything that is wrong with it."""
     time, q = asked["time"][0], asked["orientation"]
-    loose = _looseness(q.dtype)
+    loose = looseness(q.dtype)
     motion = scene.base.motion
     moving = None if motion is None else (motion, time)
     where = {name: asked[name] for name in _WHERE}
@@ -261,11 +260,6 @@ class _Fit(eqx.Module):
     cuts: Array
 
 
-def _looseness(dtype: DTypeLike) -> float:
-    """How far a user's rounded numbers may be off, relative [1]: half the digits."""
-    return 1e-6 if dtype == jnp.float64 else 1e-3
-
-
 def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
     """States of the bodies that roll on the body; refused if they are not theirs."""
     given = (given,) if isinstance(given, State) else tuple(given)
@@ -291,7 +285,7 @@ def _fit(
     asked: dict[str, Any],
 ) -> _Fit:
     orientation, point = asked["orientation"], asked["contact_on_base"]
-    normal, loose = asked["base_normal"], _looseness(point.dtype)
+    normal, loose = asked["base_normal"], looseness(point.dtype)
     on_base = base.locate(point) if normal is None else base.at_edge(point, normal)
     ground = base.geometry(on_base)
     orientation = orientation / norm(orientation)

@@ -83,6 +83,11 @@ class _Plan(NamedTuple):
             scene, [start], [self.record], self.free, self.modes, self.options
         )
 
+    def model(self, scene: Scene, start: State) -> Model:
+        """What predicts its record."""
+        record = self.record
+        return Model(scene, start, record.start_time, self.modes, record.channels)
+
     def chosen(self, layout: Layout) -> np.ndarray:
         """Coordinates of the wanted parameters."""
         found: list[int] = []
@@ -195,7 +200,7 @@ def _ascended(
     plan: _Plan, scene: Scene, start: State, vary: tuple[Free, ...], steps: int
 ) -> tuple[tuple[Scene, State], np.ndarray]:
     """The experiment after an ascent along the gradient, and the scores on its path."""
-    model = Model(scene, start, plan.modes, plan.record.channels)
+    model = plan.model(scene, start)
     variables = Layout([model], vary)
     overlap = {f.path for f in vary} & {f.path for f in plan.free}
     if overlap:
@@ -239,9 +244,9 @@ def _gradient(
     chosen, scale = plan.chosen(layout), jnp.asarray(layout.scale)
 
     def score(d: Array) -> Array:
-        time, z = plan.record.start_time, jnp.asarray(layout.start)
+        z = jnp.asarray(layout.start)
         now = changed.applied(model, d)
-        found = linearized(slots, now, groups, counts, time, plan.options, z)
+        found = linearized(slots, now, groups, counts, plan.options, z)
         columns = found.jacobian * scale[None]
         inverse = cast(Array, jnp.linalg.inv(columns.T @ columns))
         covariance = inverse[chosen][:, chosen]

@@ -62,7 +62,9 @@ class Problem:
         self.records = list(records)
         self.free, self.options = free, options
         pairs = zip(starts, records, strict=True)
-        models = [Model(scene, start, modes, r.channels) for start, r in pairs]
+        models = [
+            Model(scene, start, r.start_time, modes, r.channels) for start, r in pairs
+        ]
         self.layout = Layout(models, free)
         self.parts = [self.layout.of_record(k) for k in range(len(self.records))]
         self.deviations = [
@@ -177,8 +179,8 @@ class Problem:
         one = self.records[record]
         groups, counts = within(self.groups[record], float(one.start_time) + horizon)
         self.rollouts += len(groups)
-        known = one.start_time, self.options, jnp.asarray(z[where])
-        found = linearized(slots, self.layout.models[record], groups, counts, *known)
+        known = groups, counts, self.options, jnp.asarray(z[where])
+        found = linearized(slots, self.layout.models[record], *known)
         at, jacobian = jax.tree.map(np.asarray, (found.at, found.jacobian))
         self.failed += int(np.sum(at.codes != Code.COMPLETED))
         return at, jacobian
@@ -201,9 +203,8 @@ class Problem:
         def evaluate(z: Array) -> tuple[Array, Array]:
             rows: list[_Rows] = []
             for record, (slots, where) in enumerate(self.parts):
-                known = self.records[record].start_time, self.options, z[where]
-                model = self.layout.models[record]
-                found = linearized(slots, model, *whole[record], *known)
+                known = *whole[record], self.options, z[where]
+                found = linearized(slots, self.layout.models[record], *known)
                 rows.append((found.at.misfit, found.jacobian, where))
             rows += [(*_prior_of(*known, z[where]), where) for known, where in terms]
             return _stacked(rows, self.layout.size, jnp)

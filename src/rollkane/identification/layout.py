@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError
 from . import paths
-from .parameters import Free, Model, Slot, Slots, Tied, located, number_in
+from .parameters import PLACING, Free, Model, Slot, Slots, Tied, located, number_in
 from .transform_values import TransformValues, values_at
 from .transforms import (
     AbstractTransform,
@@ -51,6 +51,9 @@ _NOT_NEGATIVE = {
     ("Drag", "quadratic"): np.inf,
     ("Drag", "angular"): np.inf,
 }
+# How far a coordinate goes to see whether the body still touches [its size]: beyond
+# what placing overlooks, 1e-6 rad (1e-3 in single precision).
+_ASIDE = 1e-2
 
 
 class Coordinates(NamedTuple):
@@ -123,6 +126,8 @@ class Layout:
         self.scale = join([e.transform.scale() for e in self.entries])
         for tie in self.tied:
             self._check_tie(tie)
+        for entry in self.entries:
+            self._check_touches(entry)
 
     def _add(self, free: Free, record: int | None) -> None:
         first_owner = _owners(self.models, free.path)[0]
@@ -155,6 +160,28 @@ class Layout:
             except (TypeError, ValueError) as error:
                 problem = f"must give numbers of shape {old.shape}"
                 raise FieldError(field, "...", problem, str(error)) from error
+
+    def _check_touches(self, entry: Coordinates) -> None:
+        """Refuse what leaves a body no point to touch with: a cylinder that tilts."""
+        first_owner = _owners(self.models, entry.free.path)[0]
+        record = first_owner if entry.record is None else entry.record
+        places = PLACING.intersection(paths.keys_of(entry.free.path))
+        if not places or not _contacts_on_body(self.models[record].start).size:
+            return
+        for k in range(entry.where.start, entry.where.stop):
+            z = self.start.copy()
+            z[k] += _ASIDE * self.scale[k]
+            if np.isnan(_contacts_on_body(self.model(record, z).start)).any():
+                field, value = f"Free({entry.free.path!r})", entry.transform.reference
+                problem = (
+                    "cannot change alone: no point of the body has the normal that its "
+                    "contact would need"
+                )
+                remedy = (
+                    "hold it; or free start.contact_on_body, too, and no orientation: "
+                    "the body then turns to fit its contact"
+                )
+                raise FieldError(field, value, problem, remedy)
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -198,6 +225,12 @@ class Layout:
             found.setdefault(entry.free.path, []).append(of(entry))
         own = {e.free.path for e in self.entries if e.record is not None}
         return {p: np.stack(v) if p in own else v[0] for p, v in found.items()}
+
+
+def _contacts_on_body(start: Any) -> np.ndarray:
+    """Contact coordinates on the body, and on those that roll on it."""
+    inner = [_contacts_on_body(own) for own in start.supported]
+    return np.concatenate([np.asarray(start.contact_on_body), *inner])
 
 
 @for_one_call

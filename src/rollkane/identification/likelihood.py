@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..dynamics.consistency import with_contact_found
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
@@ -33,7 +34,8 @@ def negative_log_likelihood(
 
     Args:
         scene: The model.
-        start: State at the record's ``start_time``.
+        start: State at the record's ``start_time``; of a body with explicit contact
+            coordinates the contact on the body is where its orientation has it.
         record: What was measured; its channels have sigma. It is known, not traced.
         modes: How the contact may change in the run.
         rtol: Relative tolerance of the run [1]; see :func:`rollkane.simulate`.
@@ -53,7 +55,8 @@ def negative_log_likelihood(
             raise FieldError(field, None, "is missing", "give the noise's deviation")
     groups = grouped(record, (), {})
     everything = tuple(jnp.ones(np.shape(g.time), bool) for g in groups)
-    model = Model(scene, start, modes, record.channels)
+    start = with_contact_found(scene, record.start_time, start)
+    model = Model(scene, start, record.start_time, modes, record.channels)
     options = RunOptions(rtol, atol, max_steps, method)
-    found = residuals_of(model, groups, everything, record.start_time, options)
+    found = residuals_of(model, groups, everything, options)
     return 0.5 * jnp.sum(found.misfit**2)

@@ -1,7 +1,7 @@
 """Which numbers of a model are free, and which follow from them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from ..dynamics.consistency import with_contact_found
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..validation.checks import FieldError, flag
@@ -19,6 +20,9 @@ from .transforms import FORMS, AbstractTransform
 
 Bounds = tuple[ArrayLike | None, ArrayLike | None]
 Values = dict[str, Array]
+
+# On a path to what places a contact, of a start or of a scene (``on``: of a carrier).
+PLACING = {"orientation", "contact_on_base", "surface", "motion", "on"}
 
 
 def _is_pair(value: Any) -> bool:
@@ -104,10 +108,19 @@ class Tied:
 
 
 class Model(NamedTuple):
-    """What a record is predicted from."""
+    """What a record is predicted from.
+
+    Attributes:
+        scene: What rolls on what.
+        start: State in which it starts.
+        time: When [s].
+        modes: How the contact may change.
+        channels: Of the record, by name.
+    """
 
     scene: Scene
     start: Any
+    time: Float[Array, ""]
     modes: Modes | None
     channels: dict[str, AbstractChannel]
 
@@ -127,12 +140,26 @@ def number_in(model: Model, keys: paths.Keys) -> Any:
     return paths.found(getattr(model, str(keys[0])), keys[1:])
 
 
-def with_number(model: Model, keys: paths.Keys, value: Array) -> Model:
-    """The model with another number at keys."""
-    root = str(keys[0])
-    return model._replace(
-        **{root: paths.replaced(getattr(model, root), keys[1:], value)}
-    )
+def with_numbers(model: Model, numbers: Iterable[tuple[paths.Keys, Any]]) -> Model:
+    """The model with other numbers at keys: arrays of their shape, or one for all.
+
+    Of the start the orientation and the contact on the base are as they are given, and
+    the contact on the body is where these, and the surfaces, have it: a run turns a
+    body that does not fit its contacts. That is left to it where the contact on the
+    body is among the numbers, and no orientation is.
+    """
+    names: set[str | int] = set()
+    for keys, value in numbers:
+        root, old = str(keys[0]), number_in(model, keys)
+        new = jnp.broadcast_to(jnp.asarray(value, old.dtype), old.shape)
+        changed = paths.replaced(getattr(model, root), keys[1:], new)
+        model = model._replace(**{root: changed})
+        names.update(keys)
+    by_body = "contact_on_body" in names and "orientation" not in names
+    if by_body or not names & PLACING:
+        return model
+    start = with_contact_found(model.scene, model.time, model.start)
+    return model._replace(start=start)
 
 
 class Slot(eqx.Module):
@@ -177,10 +204,6 @@ class Slots(eqx.Module):
     def applied(self, model: Model, z: Float[Array, " P"]) -> Model:
         """The model with the parameters at coordinates z."""
         values = self.values(z)
-        for slot in self.free:
-            model = with_number(model, slot.keys, values[slot.path])
-        for _, keys, function in self.tied:
-            old = number_in(model, keys)
-            new = jnp.broadcast_to(jnp.asarray(function(values), old.dtype), old.shape)
-            model = with_number(model, keys, new)
-        return model
+        free = [(slot.keys, values[slot.path]) for slot in self.free]
+        tied = [(keys, function(values)) for _, keys, function in self.tied]
+        return with_numbers(model, free + tied)

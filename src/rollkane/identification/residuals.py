@@ -179,13 +179,12 @@ def linearized(
     model: Model,
     groups: tuple[Group, ...],
     counts: tuple[Bool[Array, " T"], ...],
-    start_time: Float[Array, ""],
     options: RunOptions,
     z: Float[Array, " P"],
 ) -> Linearized:
     """Misfits and their derivatives by a record's coordinates."""
     program = _beside_c if may_go_natively(options.method) else _by_xla
-    return program(slots, model, groups, counts, start_time, options, z)
+    return program(slots, model, groups, counts, options, z)
 
 
 def _linearized(
@@ -193,14 +192,13 @@ def _linearized(
     model: Model,
     groups: tuple[Group, ...],
     counts: tuple[Bool[Array, " T"], ...],
-    start_time: Float[Array, ""],
     options: RunOptions,
     z: Float[Array, " P"],
 ) -> Linearized:
 
     def misfits(z: Array) -> tuple[Array, Residuals]:
         known = slots.applied(model, z)
-        found = residuals_of(known, groups, counts, start_time, options)
+        found = residuals_of(known, groups, counts, options)
         return found.misfit, found
 
     jacobian, found = cast(
@@ -216,12 +214,11 @@ def residuals_of(
     model: Model,
     groups: tuple[Group, ...],
     counts: tuple[Bool[Array, " T"], ...],
-    start_time: Float[Array, ""],
     options: RunOptions,
 ) -> Residuals:
     """Misfits of a model."""
     parts = [
-        _of_group(model, group, count, start_time, options)
+        _of_group(model, group, count, options)
         for group, count in zip(groups, counts, strict=True)
     ]
     rows = _one_below_the_other([part[:3] for part in parts])
@@ -237,7 +234,6 @@ def _of_group(
     model: Model,
     group: Group,
     count: Bool[Array, " T"],
-    start_time: Float[Array, ""],
     options: RunOptions,
 ) -> tuple[Array, Array, Array, Array]:
     """Of a group's channels what :class:`Residuals` has, and the code of its run."""
@@ -245,7 +241,7 @@ def _of_group(
     if group.delayed:
         (name,) = group.channels
         time = time - model.channels[name].delay
-    times = jnp.concatenate([start_time[None], time]) if group.leads else time
+    times = jnp.concatenate([model.time[None], time]) if group.leads else time
     run = simulate(
         model.scene,
         model.start,

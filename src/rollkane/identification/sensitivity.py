@@ -20,7 +20,7 @@ from ..simulation.run_checks import check_span
 from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError
 from .layout import Coordinates, Layout
-from .parameters import Free, Model, located, with_number
+from .parameters import Free, Model, located, with_numbers
 
 Observable = Callable[[Scene, Array, AnyState], Array]
 
@@ -106,7 +106,7 @@ def sensitivity(
         raise FieldError("sensitivity.observe", observe, "names no functions", remedy)
     known = checked_times(times, start.angular_velocity.dtype)
     check_span(scene, known)
-    model = Model(scene, start, modes, {})
+    model = Model(scene, start, jnp.asarray(known[0]), modes, {})
     entries = Layout([model], wanted).entries
     options = RunOptions(rtol, atol, max_steps, method)
     functions = tuple(sorted(observe.items()))
@@ -148,9 +148,8 @@ def _derivatives(
     """Observables, their derivatives by the changes, and the run's code."""
 
     def observed(changes: tuple[Array, ...]) -> tuple[dict[str, Array], Any]:
-        changed = model
-        for place, transform, change in zip(keys, transforms, changes, strict=True):
-            changed = with_number(changed, place, transform.changed(change))
+        values = [t.changed(c) for t, c in zip(transforms, changes, strict=True)]
+        changed = with_numbers(model, zip(keys, values, strict=True))
         run = simulate(
             changed.scene,
             changed.start,

@@ -99,6 +99,9 @@ class AbstractState(eqx.Module):
 class State(AbstractState):
     """State of a rolling body in pole-free coordinates.
 
+    It has spare numbers where it holds the contact on the body: a run keeps both
+    contacts, and turns a body that does not fit them. To turn a start, place it anew.
+
     Attributes:
         orientation: Quaternion, scalar first, body to fixed axes, of any length [1].
         angular_velocity: Absolute, on BODY axes [rad/s], shape (3,).

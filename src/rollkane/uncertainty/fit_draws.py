@@ -16,7 +16,7 @@ from ..identification import paths
 from ..identification.fit_result import Fit
 from ..identification.layout import Coordinates
 from ..identification.least_squares import loss_of, variance_factor
-from ..identification.parameters import Model, Values, located, number_in, with_number
+from ..identification.parameters import Model, Values, located, with_numbers
 from ..identification.transforms import AbstractTransform
 from ..identification.uncertainty import coordinate_covariance
 from ..validation.checks import FieldError, whole
@@ -62,6 +62,7 @@ class FitCovariance(AbstractDistribution):
         tied: Parameters that follow: path, keys, function.
         scene: The model at the estimates.
         starts: At the estimates, of each record.
+        times: When they are [s], of each record.
 
     Source: the linear covariance of least squares, as :class:`rollkane.Fit` has it.
     """
@@ -77,6 +78,7 @@ class FitCovariance(AbstractDistribution):
     )
     scene: Scene
     starts: tuple[Any, ...]
+    times: tuple[Float[Array, ""], ...]
 
     def __init__(self, fit: Fit):
         """Take what a fit found.
@@ -110,6 +112,7 @@ class FitCovariance(AbstractDistribution):
         self.scene = fit.scene
         several = len(layout.models) > 1
         self.starts = tuple(fit.start) if several else (fit.start,)
+        self.times = tuple(model.time for model in layout.models)
 
     @property
     def shape(self) -> dict[str, tuple[int, ...]]:
@@ -158,15 +161,12 @@ class FitCovariance(AbstractDistribution):
             given, remedy = sorted(drawn), f"give those of a draw: {sorted(paths_of)}"
             problem = "are not the fit's"
             raise FieldError("FitCovariance.apply.drawn", given, problem, remedy)
-        model = Model(self.scene, self.starts[record], None, {})
+        start, time = self.starts[record], self.times[record]
         values = self._of_record(drawn, record)
         free = [(p.keys, values[p.path]) for p in self.places if p.path in values]
         tied = [(k, of(values)) for _, k, of in self.tied if k[0] in _OF_MOTION]
-        for keys, value in free + tied:
-            if keys[0] in _OF_MOTION:
-                old = number_in(model, keys)
-                new = jnp.asarray(value, old.dtype)
-                model = with_number(model, keys, jnp.broadcast_to(new, old.shape))
+        numbers = [one for one in free + tied if one[0][0] in _OF_MOTION]
+        model = with_numbers(Model(self.scene, start, time, None, {}), numbers)
         return model.scene, model.start
 
     def _of_record(self, drawn: Mapping[str, Array], record: int) -> Values:
@@ -184,7 +184,7 @@ class FitCovariance(AbstractDistribution):
 
     def spec(self) -> dict[str, Any]:
         """Kind, paths, distribution of the coordinates, and the model's numbers."""
-        every = (self.transforms, self.scene, self.starts)
+        every = (self.transforms, self.scene, self.starts, self.times)
         arrays = filter(eqx.is_inexact_array, jax.tree.leaves(every))
         model = [np.ravel(np.asarray(x, float)) for x in arrays]
         return {

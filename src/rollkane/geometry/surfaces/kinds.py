@@ -162,6 +162,16 @@ class AbstractPointSurface(AbstractSurface):
         """
         fixed = jax.lax.stop_gradient(normal)
         seed = self._outermost(fixed) if near is None else self.locate(near)
+        return self.find_normal_from(normal, seed)
+
+    def find_normal_from(
+        self, normal: Float[Array, "3"], u: Float[Array, " k"]
+    ) -> Float[Array, " k"]:
+        """Coordinates of a point with the given outward normal, searched from ``u``.
+
+        Where a whole line has the normal, the place on it that is next to ``u``. Where
+        there is none, a point with another normal, which the caller must check.
+        """
 
         def towards(target: Array) -> _Step:
             def gap(geometry: LocalGeometry) -> Array:
@@ -173,7 +183,7 @@ class AbstractPointSurface(AbstractSurface):
 
             return gap
 
-        return self._refine(seed, towards(fixed), towards(normal))
+        return self._refine(u, towards(jax.lax.stop_gradient(normal)), towards(normal))
 
     def _outermost(self, normal: Float[Array, "3"]) -> Float[Array, " k"]:
         """The sample farthest out along a normal, of those that face its way."""
@@ -190,14 +200,17 @@ class AbstractPointSurface(AbstractSurface):
     def _refine(
         self, seed: Float[Array, " k"], step_to_fixed: _Step, step_to_moving: _Step
     ) -> Float[Array, " k"]:
-        """Newton steps from a seed; the last two carry the derivative."""
+        """Newton steps from a seed; the last two carry the derivative.
+
+        That by the seed, too: along a line on which no step is taken.
+        """
         longest = self._search_step()
 
         def advance(_: Array, u: Array) -> Array:
             return self._advanced(u, step_to_fixed, longest)
 
         found = cast(Array, jax.lax.fori_loop(0, 60, advance, seed))
-        u = jax.lax.stop_gradient(found)
+        u = jax.lax.stop_gradient(found) + (seed - jax.lax.stop_gradient(seed))
         for _ in range(2):
             u = self._advanced(u, step_to_moving, longest)
         return u
