@@ -12,7 +12,7 @@ from . import uncertainty
 from .experiments import Problem
 from .horizons import Search, Stage
 from .layout import Coordinates, Layout
-from .least_squares import Evaluation, loss_of, variance_factor
+from .least_squares import Evaluation, loss_of
 from .unseen import described
 
 
@@ -49,9 +49,7 @@ class Estimates:
         """The result of a search."""
         layout, found = problem.layout, best.minimum
         z, at = found.z, found.at
-        known = uncertainty.coordinate_covariance(at, layout, z)
-        if loss != "linear":
-            known = known * variance_factor(at.residual, loss_of(loss))
+        known = uncertainty.coordinate_covariance(at, layout, z, loss_of(loss))
         covariance = uncertainty.named_covariance(layout, z, known)
         unseen = uncertainty.unseen_directions(at, layout)
         spread = np.sqrt(np.diag(covariance))

@@ -128,11 +128,12 @@ class Problem:
             lost = np.any(at.counted & ~at.reached)
             failed += int(lost and np.any(at.codes != Code.COMPLETED))
             rows.append((at.misfit, jacobian, where))
-        rows += [(*_prior(e, z), e.where) for e in self._with_prior()]
-        residual, jacobian = _stacked(rows, self.layout.size, np)
+        priors = [(*_prior(e, z), e.where) for e in self._with_prior()]
+        residual, jacobian = _stacked(rows + priors, self.layout.size, np)
         if self.progress is not None:
             self.progress(self.rollouts, float(residual @ residual))
-        return Evaluation(residual, jacobian, failed, self.rounding)
+        count = sum(own.size for own, _, _ in priors)
+        return Evaluation(residual, jacobian, failed, self.rounding, count)
 
     def _with_prior(self) -> list[Coordinates]:
         return [e for e in self.layout.entries if e.free.prior is not None]

@@ -24,8 +24,8 @@ class Fit(Estimates):
             records' own ones stacked along a first axis.
         standard_errors: Likewise; infinite for what the records do not show.
         names: Of the numbers that covariance and correlation are of.
-        covariance: From ``J^T J``, of what is seen, shape (n, n); of a robust loss
-            times what the loss does to the variance.
+        covariance: From ``J^T J``, of what is seen, shape (n, n); of a robust loss with
+            what the loss does to the variance by the samples, and not to priors.
         correlation: Shape (n, n).
         chi2: Sum of squared misfits over deviations, priors included.
         degrees_of_freedom: Samples (and priors) minus coordinates that are seen.

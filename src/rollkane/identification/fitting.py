@@ -56,7 +56,7 @@ def fit(
         free: Which parameters to find, with bounds and priors.
         modes: How the contact may change in the runs.
         loss: Of misfits: ``"linear"`` (least squares), ``"huber"``, ``"soft_l1"`` or
-            ``"cauchy"``, which weigh outliers less.
+            ``"cauchy"``, which weigh outliers less; priors are normal in all of them.
         strategy: ``"single"``: over whole records at once. ``"progressive"``: over
             growing horizons, for motions whose neighbours part. ``"auto"``: single
             where the guess follows the records to their end, else progressive.

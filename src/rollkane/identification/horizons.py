@@ -179,7 +179,7 @@ def _weakly_held(
         at = problem.evaluate(z, horizon)
         residual = np.concatenate([at.residual, (z - z0) / scale])
         jacobian = np.concatenate([at.jacobian, np.diag(1.0 / scale)])
-        return Evaluation(residual, jacobian, at.failed)
+        return Evaluation(residual, jacobian, at.failed, priors=at.priors + z.size)
 
     return evaluate
 

@@ -13,7 +13,7 @@ by along the last step is known without another run; a second-order correction b
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _FIRST_REACH = 0.3
 _MOST_BENT = 0.75
 
 
+_LEAST_SCORE = 1e-6  # of a mean slope, beside 1 of least squares
+
 # Of squared misfits, element by element.
 _OfSquares: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
@@ -44,12 +46,26 @@ class Evaluation(NamedTuple):
         jacobian: Shape (N, P).
         failed: Runs that did not reach their end.
         rounding: Of the derivatives by relative changes of the coordinates.
+        priors: How many residuals, the last ones, are of priors: normal, whatever the
+            loss of the samples.
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
     failed: int
     rounding: float = 0.0
+    priors: int = 0
+
+    def by_kind(self, of_samples: Any, of_priors: float) -> np.ndarray:
+        """Numbers of the samples, and one for each prior behind them, shape (N,)."""
+        samples = self.residual.size - self.priors
+        ours = np.broadcast_to(of_samples, (samples,))
+        return np.concatenate([ours, np.full(self.priors, of_priors)])
+
+    @property
+    def of_samples(self) -> np.ndarray:
+        """Residuals without those of priors."""
+        return self.residual[: self.residual.size - self.priors]
 
     @property
     def usable(self) -> bool:
@@ -121,10 +137,11 @@ def loss_of(name: str) -> Loss:
     return LOSSES[name]
 
 
-def variance_factor(residual: np.ndarray, loss: Loss) -> float:
-    """What a loss does to the variance of the estimates; 1 of least squares.
+def score_moments(residual: np.ndarray, loss: Loss) -> tuple[float, float]:
+    """Means of psi' and of psi^2 over the samples, with psi(r) = r rho'(r^2).
 
-    Huber's: mean of psi^2 over the square of the mean of psi', psi(r) = r rho'(r^2).
+    Huber's: the loss changes the variance of the estimates by the second over the
+    square of the first.
 
     Args:
         residual: Over their deviations, shape (N,); zeros are no samples.
@@ -132,14 +149,15 @@ def variance_factor(residual: np.ndarray, loss: Loss) -> float:
     """
     known = residual[residual != 0.0]
     if not known.size:
-        return 1.0
+        return 1.0, 1.0
 
     def psi(r: np.ndarray) -> np.ndarray:
         return r * loss.weight(r * r)
 
     step = 1e-4  # by differences: 1e-8 of the slope of numbers of about one
     slope = float(np.mean(psi(known + step) - psi(known - step))) / (2.0 * step)
-    return float(np.mean(psi(known) ** 2)) / slope**2
+    # a loss that falls off over most samples tells next to nothing by them
+    return max(slope, _LEAST_SCORE), float(np.mean(psi(known) ** 2))
 
 
 def minimize(
@@ -161,7 +179,7 @@ def minimize(
         lower: Bounds, shape (P,); -inf for none.
         upper: Likewise.
         size: Of each coordinate, for the length of the first step, shape (P,).
-        loss: Of the squared residuals.
+        loss: Of the squared residuals of samples.
         most: Points tried.
         least: Fall of twice the cost that is waited for.
         damping: Of the first step.
@@ -175,7 +193,7 @@ def minimize(
     path, scale, bend = [z], np.zeros_like(z), None
     grows, reach, converged = 2.0, _FIRST_REACH, False
     while at.usable and evaluations < most and damping < _MOST_DAMPING:
-        root = np.sqrt(loss.weight(at.residual**2))
+        root = np.sqrt(at.by_kind(loss.weight(at.of_samples**2), 1.0))
         r, J = root * at.residual, root[:, None] * at.jacobian
         scale = np.maximum(scale, np.linalg.norm(J, axis=0))
         box = lower - z, upper - z
@@ -245,7 +263,8 @@ def _length(step: np.ndarray, scale: np.ndarray) -> float:
 def _cost(at: Evaluation, loss: Loss) -> float:
     if not at.usable:
         return np.inf
-    return 0.5 * float(np.sum(loss.value(at.residual**2)))
+    priors = at.residual[at.of_samples.size :]
+    return 0.5 * float(np.sum(loss.value(at.of_samples**2)) + np.sum(priors**2))
 
 
 def _step(

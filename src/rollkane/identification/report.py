@@ -6,6 +6,7 @@ import numpy as np
 
 from . import uncertainty
 from .estimates import Estimates
+from .least_squares import loss_of
 from .unseen import REMEDY
 
 _STRONG = 0.95  # correlations that are told
@@ -63,7 +64,7 @@ def rows(fit: Estimates) -> list[Row]:
     at = fit.search.minimum.at
     errors = iter(np.sqrt(np.diag(fit.covariance)))
     unseen = uncertainty.unseen_directions(at, layout)
-    held = uncertainty.active(at, layout, z)
+    held = uncertainty.active(at, layout, z, loss_of(fit.loss))
     found: list[Row] = []
     for entry in layout.entries:
         at_minimum = entry.at(z)

@@ -6,7 +6,9 @@ import numpy as np
 from jax.scipy.special import gammainc
 
 from .layout import Coordinates, Layout
-from .least_squares import Evaluation
+from .least_squares import LOSSES, Evaluation, Loss, score_moments
+
+_SQUARES = LOSSES["linear"]
 
 # Singular values of the scaled Jacobian below this share of the largest are rounding:
 # runs are good to 1e-9 of their size, and their derivatives to little worse.
@@ -58,26 +60,49 @@ def spectrum(
 
 
 def coordinate_covariance(
-    at: Evaluation, layout: Layout, z: np.ndarray, *, bounded: bool = True
+    at: Evaluation,
+    layout: Layout,
+    z: np.ndarray,
+    loss: Loss = _SQUARES,
+    *,
+    bounded: bool = True,
 ) -> np.ndarray:
     """Covariance of the coordinates, ``(J^T J)^-1`` of what is seen, shape (P, P).
 
     Coordinates on a bound that the descent leads out of are known: no variance, unless
     bounds are left out.
+
+    Of another loss, with J of the samples, Q of the priors, and s and v the means of
+    psi' and psi^2 over the samples: estimates obey ``J^T psi + Q^T q = 0``. To first
+    order this changes by ``A = s J^T J + Q^T Q`` times the coordinates, and it varies
+    by ``B = v J^T J + Q^T Q``, as a prior has its own deviation: ``A^-1 B A^-1``.
+    Without priors that is ``(v / s^2) (J^T J)^-1``, and of priors alone
+    ``(Q^T Q)^-1``.
     """
-    inside = ~(active(at, layout, z) & bounded)
+    slope = square = 1.0  # of least squares, whose deviations are as they are told
+    if loss is not _SQUARES:
+        slope, square = score_moments(at.of_samples, loss)
+    inside = ~(active(at, layout, z, loss) & bounded)
     found = np.zeros((z.size, z.size))
+    # A over s: rows of samples as they are
+    rows = at.by_kind(1.0, slope**-0.5)[:, None] * at.jacobian
     if inside.any():
-        parts = spectrum(at.jacobian[:, inside], layout.scale[inside], at.rounding)
+        parts = spectrum(rows[:, inside], layout.scale[inside], at.rounding)
         inverse = np.where(parts.seen, 1.0 / np.maximum(parts.values, 1e-300), 0.0)
         root = parts.scale[:, None] * parts.directions.T * inverse
         found[np.ix_(inside, inside)] = root @ root.T
-    return found
+    if loss is _SQUARES:
+        return found
+    varies = at.by_kind(square / slope**2, 1.0 / slope)[:, None] * rows
+    return found @ (rows.T @ varies) @ found
 
 
-def active(at: Evaluation, layout: Layout, z: np.ndarray) -> np.ndarray:
+def active(
+    at: Evaluation, layout: Layout, z: np.ndarray, loss: Loss = _SQUARES
+) -> np.ndarray:
     """Coordinates that only their bound keeps from going on, shape (P,)."""
-    gradient = at.jacobian.T @ at.residual
+    weights = at.by_kind(loss.weight(at.of_samples**2), 1.0)
+    gradient = at.jacobian.T @ (weights * at.residual)
     low = (z <= layout.lower) & (gradient > 0.0)
     return low | ((z >= layout.upper) & (gradient < 0.0))
 

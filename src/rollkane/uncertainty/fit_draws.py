@@ -15,7 +15,7 @@ from ..dynamics.scene import Scene
 from ..identification import paths
 from ..identification.fit_result import Fit
 from ..identification.layout import Coordinates
-from ..identification.least_squares import loss_of, variance_factor
+from ..identification.least_squares import loss_of
 from ..identification.parameters import Model, Values, located, with_numbers
 from ..identification.transforms import AbstractTransform
 from ..identification.uncertainty import coordinate_covariance
@@ -97,9 +97,7 @@ class FitCovariance(AbstractDistribution):
             remedy = "hold one of them, or give a prior"
             raise FieldError(field, fit.unseen, problem, remedy)
         layout, best = fit.problem.layout, fit.search.minimum
-        known = coordinate_covariance(best.at, layout, best.z)
-        if fit.loss != "linear":
-            known = known * variance_factor(best.at.residual, loss_of(fit.loss))
+        known = coordinate_covariance(best.at, layout, best.z, loss_of(fit.loss))
         self.center = jnp.asarray(best.z)
         self.root = root_of(field, known, jnp.asarray(known))
         self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
