@@ -1,11 +1,14 @@
 """The clock of a record: which are taken, and that every time finds its samples."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.identification.layout import known_paths
+from rollkane.identification.parameters import Model
 from rollkane.validation.checks import FieldError
 
 # clocks as files print them: count, step [s], decimals; off by up to 0.15 of a step
@@ -103,3 +106,44 @@ def test_a_traced_clock_is_judged_too():
     lanes = jax.jit(jax.vmap(position))(jnp.stack([good, bad]))
     assert lanes[0] == 0.0
     assert np.isnan(lanes[1])
+
+
+def test_velocity_and_position_follow_the_samples():
+    """Of a record whose samples are exchanged, scaled or differentiated by."""
+    time, rng = clock("1/128 s to a millisecond")[:60], np.random.default_rng(9)
+    values = rng.uniform(-1.0, 1.0, (60, 3))
+    start = rng.uniform(-1.0, 1.0, (2, 3))
+    motion = rk.RecordedMotion(time, values, *start)
+    moved = eqx.tree_at(lambda m: m.acceleration, motion, 2.0 * motion.acceleration)
+    t = jnp.asarray(between(time)[5:300:7])
+    twice = all_at(rk.RecordedMotion(time, 2.0 * values, *start), t)
+    for name in ("acceleration", "velocity", "position"):
+        same = getattr(all_at(moved, t), name), getattr(twice, name)
+        # roundings of sums of 60 numbers of at most 2
+        np.testing.assert_allclose(*same, atol=60 * 2 * 2.3e-16)
+
+    def along(scale):
+        samples = motion.acceleration * scale
+        return all_at(eqx.tree_at(lambda m: m.acceleration, motion, samples), t)
+
+    # all are linear in the samples
+    _, rates = jax.jvp(along, (1.0,), (1.0,))
+    still = all_at(rk.RecordedMotion(time, 0.0 * values, *start), t)
+    for name in ("acceleration", "velocity", "position"):
+        change = getattr(twice, name) - getattr(still, name)
+        np.testing.assert_allclose(2.0 * getattr(rates, name), change, atol=1e-13)
+
+
+def test_free_numbers_of_a_record_are_those_it_is_made_of():
+    motion = rk.RecordedMotion([0.0, 0.1, 0.2], np.ones(3))
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)), rk.Base(rk.Plane(), motion)
+    )
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    offered = known_paths(Model(scene, start, None, {}))
+    assert [path for path in offered if path.startswith("base.motion.")] == [
+        "base.motion.time",
+        "base.motion.acceleration",
+        "base.motion.start_velocity",
+        "base.motion.start_position",
+    ]

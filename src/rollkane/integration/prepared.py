@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..codegen import zeros_in
 from ..codegen.compile_effort import Known, known, taken_apart
+from ..kinematics.base_motion import ready_for_runs
 from ..validation.checks import is_traced
 from .event_search import Events
 from .held_numbers import held
@@ -35,7 +36,7 @@ class Prepared(NamedTuple):
             structure and the arrays of a model, the start, and what else there is.
         plans: How to integrate, for each of them; static.
         structure: Of the model; static.
-        arrays: Before the start: of the model.
+        arrays: Before the start: of the model, as runs take it.
         others: Behind it: times, tolerances.
     """
 
@@ -62,6 +63,7 @@ class Prepared(NamedTuple):
             before: Arrays before those of the model.
             others: What stands behind the start.
         """
+        model = ready_for_runs(model)
         structure, leaves = taken_apart(model)
         plans = known(plan), known(plan._replace(zeros=zeros_in(model)))
         return Prepared(programs, plans, structure, (*before, leaves), held(others))

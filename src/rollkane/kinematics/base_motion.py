@@ -8,7 +8,7 @@ translation.
 
 import abc
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import equinox as eqx
 import jax
@@ -17,6 +17,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from ..codegen.compile_effort import stays_as_it_is
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import (
     components,
@@ -27,6 +28,7 @@ from ..geometry.small_linear import (
     matvec_transposed,
 )
 from ..validation.checks import FieldError, real, refuse
+from ..validation.remembered import remembered
 from ..validation.user_functions import (
     UserFunction,
     as_time,
@@ -138,6 +140,35 @@ class AbstractBaseMotion(eqx.Module):
     def span(self) -> tuple[Array, Array] | None:
         """First and last time [s] at which the motion is known; None for all."""
         return None
+
+    def for_runs(self) -> "AbstractBaseMotion":
+        """The same motion as a run takes it: with what is computed once, ahead of it.
+
+        Its numbers are as many arrays, in the same order, each bad where the one of
+        this motion is.
+        """
+        return self
+
+
+@remembered(stays_as_it_is)
+def _made_ready(model: Any) -> Any:
+    """A model with its motions as runs take them; None where they are so already."""
+    leaves, tree = cast(
+        "tuple[list[Any], Any]", jax.tree.flatten(model, is_leaf=_is_motion)
+    )
+    ready = [x.for_runs() if _is_motion(x) else x for x in leaves]
+    same = all(a is b for a, b in zip(leaves, ready, strict=True))
+    return None if same else jax.tree.unflatten(tree, ready)
+
+
+def _is_motion(x: Any) -> bool:
+    return isinstance(x, AbstractBaseMotion)
+
+
+def ready_for_runs(model: Any) -> Any:
+    """A model, such as a scene, with its motions of bases as runs take them."""
+    ready = _made_ready(model)
+    return model if ready is None else ready
 
 
 class BaseMotion(AbstractBaseMotion):

@@ -1,10 +1,12 @@
 """A base shaken by a recorded acceleration: piecewise linear, integrated exactly."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import eval_context
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -20,21 +22,22 @@ _OFF = 0.2
 class RecordedMotion(AbstractBaseMotion):
     """A translation by samples of its acceleration, linear between samples.
 
-    Velocity and position are the exact integrals. Every sample time is a kink: the
-    jerk jumps there, and the integrator ends a step on it.
+    Velocity and position are the exact integrals, whatever the samples are: a fit, a
+    sweep or a derivative by ``acceleration`` moves them along. Every sample time is a
+    kink: the jerk jumps there, and the integrator ends a step on it.
 
     Attributes:
         time: Sample times [s], shape (N,), equally spaced but for their rounding: none
             is a fifth of a step or more from equal spacing between the ends.
         acceleration: [m/s^2], fixed axes, shape (N, 3).
-        velocity: At the samples [m/s], shape (N, 3).
-        position: At the samples [m], shape (N, 3).
+        start_velocity: At the first sample [m/s], shape (3,).
+        start_position: At the first sample [m], shape (3,).
     """
 
     time: Float[Array, " N"]
     acceleration: Float[Array, "N 3"]
-    velocity: Float[Array, "N 3"]
-    position: Float[Array, "N 3"]
+    start_velocity: Float[Array, "3"]
+    start_position: Float[Array, "3"]
 
     def __init__(
         self,
@@ -68,9 +71,18 @@ class RecordedMotion(AbstractBaseMotion):
         velocity = real(field, start_velocity, (3,), "three components in m/s")
         field = "RecordedMotion.start_position"
         position = real(field, start_position, (3,), "three lengths in metres")
-        self.velocity, self.position = _integrals(
-            self.time, self.acceleration, velocity.astype(dtype), position.astype(dtype)
-        )
+        self.start_velocity = velocity.astype(dtype)
+        self.start_position = position.astype(dtype)
+
+    @property
+    def velocity(self) -> Float[Array, "N 3"]:
+        """At the samples [m/s], shape (N, 3)."""
+        return self.for_runs().velocity
+
+    @property
+    def position(self) -> Float[Array, "N 3"]:
+        """At the samples [m], shape (N, 3)."""
+        return self.for_runs().position
 
     @property
     def kinks(self) -> Float[Array, " N"]:
@@ -81,6 +93,35 @@ class RecordedMotion(AbstractBaseMotion):
     def span(self) -> tuple[Array, Array]:
         """First and last sample time [s]."""
         return self.time[0], self.time[-1]
+
+    def at(self, t: Float[Array, ""]) -> BaseKinematics:
+        """Position, velocity and acceleration at a time [s]; NaN outside the record."""
+        return self.for_runs().at(t)
+
+    def for_runs(self) -> "IntegratedRecord":
+        """The record with velocity and position at its samples."""
+        return IntegratedRecord(self.time, self.acceleration, *_tables(self))
+
+
+class IntegratedRecord(AbstractBaseMotion):
+    """A record with its integrals at the samples, as a run takes it.
+
+    Attributes:
+        time: Sample times [s], shape (N,).
+        acceleration: [m/s^2], fixed axes, shape (N, 3).
+        velocity: [m/s], shape (N, 3).
+        position: [m], shape (N, 3).
+    """
+
+    time: Float[Array, " N"]
+    acceleration: Float[Array, "N 3"]
+    velocity: Float[Array, "N 3"]
+    position: Float[Array, "N 3"]
+
+    @property
+    def kinks(self) -> Float[Array, " N"]:
+        """The sample times [s]."""
+        return self.time
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Position, velocity and acceleration at a time [s]; NaN outside the record."""
@@ -173,17 +214,38 @@ def _components(acceleration: Any, count: int) -> Array:
     return jnp.pad(samples, ((0, 0), (0, 3 - width)))
 
 
-def _integrals(
-    time: Float[Array, " N"],
-    acceleration: Float[Array, "N 3"],
-    velocity: Float[Array, "3"],
-    position: Float[Array, "3"],
-) -> tuple[Float[Array, "N 3"], Float[Array, "N 3"]]:
-    """Velocity and position at the samples, exact for linear pieces."""
-    step = jnp.diff(time)[:, None]
+def _tables(record: RecordedMotion) -> tuple[Array, Array]:
+    """Velocity and position at the samples.
+
+    Of known numbers in double precision, outside of what may be traced around.
+    """
+    given = (
+        *(record.time, record.acceleration),
+        *(record.start_velocity, record.start_position),
+    )
+    dtype = record.time.dtype
+    traced = is_traced(*given)
+    # a clock may be known where the samples are traced
+    wide = [x if is_traced(x) else np.asarray(x, np.float64) for x in given]
+    found = _integrals(jnp if traced else np, wide)
+    with nullcontext() if traced else eval_context():
+        velocity, position = (jnp.asarray(x, dtype) for x in found)
+    return velocity, position
+
+
+def _integrals(library: Any, given: Sequence[Any]) -> tuple[Any, Any]:
+    """Velocity and position at the samples, exact for linear pieces.
+
+    Args:
+        library: ``jnp`` where some are traced, else ``np``.
+        given: Times [s], shape (N,), accelerations [m/s^2], shape (N, 3), velocity
+            [m/s] and position [m] at the first sample, shape (3,).
+    """
+    time, acceleration, velocity, position = given
+    step = library.diff(time)[:, None]
     a, b = acceleration[:-1], acceleration[1:]
-    gained = jnp.cumsum(step * (a + b) / 2.0, axis=0)
-    velocities = jnp.concatenate([velocity[None], velocity[None] + gained])
+    gained = library.cumsum(step * (a + b) / 2.0, axis=0)
+    velocities = library.concatenate([velocity[None], velocity[None] + gained])
     travelled = step * (velocities[:-1] + step * (2.0 * a + b) / 6.0)
-    positions = position[None] + jnp.cumsum(travelled, axis=0)
-    return velocities, jnp.concatenate([position[None], positions])
+    positions = position[None] + library.cumsum(travelled, axis=0)
+    return velocities, library.concatenate([position[None], positions])

@@ -1,6 +1,7 @@
 """Blocks of an ensemble in the compiled loop over lanes."""
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import diffrax as dfx
@@ -30,6 +31,7 @@ from ..integration.event_search import layout_of, values_of
 from ..integration.integrate import tolerances
 from ..integration.solve import unbroken_numbers
 from ..integration.step_control import first_step, landings, stops_of
+from ..kinematics.base_motion import ready_for_runs
 from ..kinematics.coordinates import pack, unpack
 from ..validation.codes import NO_FAULT, first_fault, is_stuck
 from .ensemble_members import Members, OfLeaf, by_axis
@@ -86,8 +88,10 @@ class LaneBlocks:
         dtype = np.longdouble if extended else times.dtype
         self._rtol, self._atol = tolerances(rtol, atol, dtype)
         self._by_size = atol is None
-        axes = [*members.scene_axes, *[None] * len(jax.tree.leaves(events))]
-        both = cast(tuple[list[Any], Any], jax.tree.flatten((scene, events)))
+        self._axes = _ready_axes(scene, members.scene_axes)
+        axes = [*self._axes, *[None] * len(jax.tree.leaves(events))]
+        as_run = ready_for_runs(scene), events
+        both = cast(tuple[list[Any], Any], jax.tree.flatten(as_run))
         leaves, tree = both
         self._events = [np.asarray(x).reshape(-1) for x in jax.tree.leaves(events)]
         own = tuple(axis is not None for axis in axes)
@@ -158,8 +162,8 @@ class LaneBlocks:
         begun: list[NDArray[Any]] = [np.asarray(x)[:wanted] for x in prepared]
         y0, sizes, steps, fault, code_of_fault = begun
         own, shared = [np.zeros((wanted, 0))], [np.zeros(0)]
-        leaves = zip(jax.tree.leaves(scene), self._members.scene_axes, strict=True)
-        for leaf, axis in leaves:
+        ready = self._ready(scene, count)
+        for leaf, axis in zip(ready, self._axes, strict=True):
             leaf = np.asarray(leaf)
             if axis is None:
                 shared.append(leaf.reshape(-1))
@@ -203,6 +207,16 @@ class LaneBlocks:
             code = self._code(scene, results)
         code = np.where(good, code, code_of_fault)
         return y, results._replace(code=code, fault=fault)
+
+    def _ready(self, scene: Any, count: int) -> list[Any]:
+        """Leaves of a block's scenes, as runs take them."""
+        if ready_for_runs(self._example[0]) is self._example[0]:
+            return jax.tree.leaves(scene)
+        made: Callable[[Any], list[Any]] = lambda scene: jax.tree.leaves(
+            ready_for_runs(scene)
+        )
+        axes = self._members.axes()[:1]
+        return jax.vmap(made, axes, self._axes, axis_size=count)(scene)
 
     def states(self, y: Any) -> Any:
         """States of packed numbers; every array with the same axes in front."""
@@ -266,16 +280,30 @@ def _compiled(kind: _Kind, solver: Any) -> LaneLoop:
 
 def _corners_differ(scene: Any, axes: list[int | None]) -> bool:
     """Whether numbers in which members differ reach the times of corners."""
+    return any(_differing(lambda scene: corners(scene)[0], scene, axes))
+
+
+def _ready_axes(scene: Any, axes: list[int | None]) -> list[int | None]:
+    """Of each leaf of a scene as runs take it: 0 where members differ, else None."""
+    if ready_for_runs(scene) is scene:
+        return axes
+    return [0 if x else None for x in _differing(ready_for_runs, scene, axes)]
+
+
+def _differing(
+    function: Callable[[Any], Any], scene: Any, axes: list[int | None]
+) -> list[bool]:
+    """Which results of a scene numbers in which members differ reach."""
     leaves, tree = cast("tuple[list[Any], Any]", jax.tree.flatten(scene))
     places = [i for i, axis in enumerate(axes) if axis is not None]
 
-    def times(own: list[Any]) -> Any:
+    def found(own: list[Any]) -> list[Any]:
         known = dict(zip(places, own, strict=True))
         every = [known.get(i, leaf) for i, leaf in enumerate(leaves)]
-        return corners(jax.tree.unflatten(tree, every))[0]
+        return jax.tree.leaves(function(jax.tree.unflatten(tree, every)))
 
-    program = jax.make_jaxpr(times)([leaves[i] for i in places])
-    return any(reached_outputs(program.jaxpr))
+    program = jax.make_jaxpr(found)([leaves[i] for i in places])
+    return reached_outputs(program.jaxpr)
 
 
 def _shape_of(x: Any) -> jax.ShapeDtypeStruct:

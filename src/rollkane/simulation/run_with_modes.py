@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..codegen.compile_effort import Known, around_a_loop
+from ..codegen.compile_effort import Known, around_a_loop, taken_apart
 from ..dynamics.clearance import is_apart
 from ..dynamics.events import Event
 from ..dynamics.rolling_problem import corners
@@ -95,7 +95,7 @@ def ready_with_modes(
     numbers = scalar(rtol, dtype), scalar(atol, dtype), np.asarray(by_size)
     others = (times, stops, *numbers), watched
     run = Prepared.of((_by_xla, _around_loop), plan, changing, (), others)
-    shown = functools.partial(_trajectory, run.structure, *run.arrays, times, watched)
+    shown = functools.partial(_trajectory, *taken_apart(changing), times, watched)
     return ReadyCall(run, without_native(None, {}), ("modes", looks), watched, shown)
 
 

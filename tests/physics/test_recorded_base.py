@@ -1,0 +1,108 @@
+"""A ball on a plate that a record shakes: what follows from the record, exactly.
+
+The centre of a ball on a plate that moves without turning has a part of the plate's
+acceleration, I / (I + m r^2), whatever that is.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+
+MASS, RADIUS = 1.0, 0.1
+INERTIA = 0.4 * MASS * RADIUS**2
+PART = INERTIA / (INERTIA + MASS * RADIUS**2)
+STEP = 0.05
+CLOCK = STEP * np.arange(21) - 0.1
+SHAKEN = np.random.default_rng(0).standard_normal((21, 3)) * [3.0, 3.0, 0.0]
+TIMES = np.array([0.013, 0.31, 0.627])
+# of steps at rtol 1e-12 over ways and velocities of about 1, some twenty of them
+STEPS = 1e-10
+
+
+def scene_of(motion):
+    body = rk.Body(MASS, INERTIA * np.eye(3), rk.Sphere(RADIUS))
+    return rk.Scene(body, rk.Base(rk.Plane(), motion))
+
+
+def placed(scene):
+    upright, zero = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    return rk.place(scene, upright, zero, zero, time=TIMES[0])
+
+
+def position(scene, t, state):
+    return rk.contact_of(scene, t, state).position
+
+
+def exact(motion, t=TIMES):
+    """Centre [m]: it moves with the plate at first, as it does not turn."""
+    first, above = motion.at(jnp.asarray(t[0])), jnp.array([0.0, 0.0, RADIUS])
+
+    def at(t):
+        along = first.position + first.velocity * (t - TIMES[0])
+        return above + along + PART * (motion.at(t).position - along)
+
+    return jax.vmap(at)(jnp.asarray(t))
+
+
+MOTION = rk.RecordedMotion(CLOCK, SHAKEN)
+SCENE = scene_of(MOTION)
+
+
+def scaled(factor, made=MOTION):
+    samples = made.acceleration * factor
+    return eqx.tree_at(lambda m: m.acceleration, made, samples)
+
+
+def test_sensitivity_to_the_strength_of_a_record():
+    """All is linear in it: what is there, less its height, is the derivative."""
+    free = rk.Free("base.motion.acceleration", form="scale")
+    found = rk.sensitivity(
+        *(SCENE, placed(SCENE), TIMES, free, {"place": position}),
+        rtol=1e-12,
+    )
+    by_scale = found.values["place"]["base.motion.acceleration"][..., 0]
+    expected = np.asarray(exact(MOTION)) - [0.0, 0.0, RADIUS]
+    # a coordinate of the factor's own, of a size of one
+    np.testing.assert_allclose(by_scale, expected, atol=STEPS)
+
+
+def test_gradient_by_the_samples():
+    weights = jnp.array([1.0, -2.0, 0.0])
+    by_run = lambda motion: jnp.dot(
+        rk.simulate(scene_of(motion), placed(SCENE), TIMES, rtol=1e-12).position[-1],
+        weights,
+    )
+    by_form = lambda motion: jnp.dot(exact(motion)[-1], weights)
+    found, expected = (eqx.filter_grad(f)(MOTION) for f in (by_run, by_form))
+    np.testing.assert_allclose(found.acceleration, expected.acceleration, atol=STEPS)
+
+
+@pytest.mark.parametrize("method", ["auto", "diffrax"])
+def test_ensemble_with_a_record_of_its_own_for_each_member(method):
+    factors = jnp.array([-1.0, 0.5, 2.0])
+    scenes = jax.vmap(lambda factor: scene_of(scaled(factor)))(factors)
+    starts = jax.vmap(placed)(scenes)
+    run = rk.ensemble(scenes, starts, TIMES, rtol=1e-12, method=method)
+    assert run.method == ("native" if method == "auto" else "diffrax")
+    for k, factor in enumerate(factors):
+        expected = exact(scaled(factor))
+        np.testing.assert_allclose(run.position[k], expected, atol=STEPS)
+
+
+def test_ensemble_with_velocities_of_their_own_on_a_shared_record():
+    """What a run makes of a record is each member's own where one of its parts is."""
+    velocities = jnp.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.0]])
+    moved = lambda v: eqx.tree_at(lambda m: m.start_velocity, MOTION, v)
+    scenes = scene_of(moved(velocities))
+    own = jax.tree.map(lambda _: None, SCENE)
+    where = lambda s: s.base.motion.start_velocity
+    own = eqx.tree_at(where, own, 0, is_leaf=lambda x: x is None)
+    starts = jax.vmap(placed, (own,))(scenes)
+    run = rk.ensemble(scenes, starts, TIMES, rtol=1e-12)
+    assert run.method == "native"
+    for k, v in enumerate(velocities):
+        np.testing.assert_allclose(run.position[k], exact(moved(v)), atol=STEPS)
