@@ -215,15 +215,24 @@ def test_landings_hold_outputs_and_kinks_in_order():
 def test_steps_end_before_a_jump_and_begin_behind_it():
     times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([0.25, 1.0, 2.0])
     for sign in (1.0, -1.0):
-        ends, starts, jumps = (
-            np.asarray(x) for x in landings(sign * times, sign * kinks, jump=True)
-        )
+        ends, starts = map(np.asarray, landings(sign * times, sign * kinks, jump=True))
         known = np.isfinite(ends)
         at = sign * np.array([0.25, 1.0, 2.0])
         before, behind = np.nextafter(at, 0.0), np.nextafter(at, 9.0 * sign)
         assert ends[known].tolist() == [before[0], before[1], at[2]]
         assert starts[known].tolist() == [behind[0], behind[1], at[2]]
-        assert jumps[np.isfinite(jumps)].tolist() == [at[0], at[1]]
+
+
+def test_an_output_beside_a_kink_is_on_both_sides_of_it():
+    """By its rounding alone: steps end before the two, and begin behind them."""
+    for off in (-3, 3):
+        output = 0.3 + off * 5.6e-17
+        assert 0 < abs(output - 0.3) < 2e-16
+        found = landings(jnp.array([0.0, output, 1.0]), jnp.array([0.3]), jump=True)
+        ends, starts = (float(x[0]) for x in found)
+        first, last = sorted([output, 0.3])
+        assert ends == np.nextafter(first, 0.0)
+        assert starts == np.nextafter(last, 1.0)
 
 
 def test_kinks_of_a_user_s_motion_are_landed_on():

@@ -4,7 +4,7 @@ typedef struct {
     const real *record; /* where steps begin, and the last one ends */
     long count;         /* of steps */
     real sense;         /* 1, or -1 where time runs backwards */
-    const real *outputs, *jumps;
+    const real *outputs, *ends, *behind; /* ends of steps, begins of the next: jumps */
     long output_count, jump_count;
 } Way;
 
@@ -17,12 +17,14 @@ typedef struct {
 static Step step_of(const Way *way, long i) {
     const real begin = way->sense * way->record[i];
     const real following = way->sense * way->record[i + 1];
-    for (long j = 0; j < way->jump_count; j++) {
-        const real at = C(nextafter)(following, (real)-INFINITY);
-        if (at == way->jumps[j])
-            return (Step){begin, C(nextafter)(at, (real)-INFINITY), following};
+    long low = 0, high = way->jump_count; /* of the first that does not begin before */
+    while (low < high) {
+        const long middle = (low + high) / 2;
+        if (way->behind[middle] < following) low = middle + 1;
+        else high = middle;
     }
-    return (Step){begin, following, following};
+    const int jumps = low < way->jump_count && way->behind[low] == following;
+    return (Step){begin, jumps ? way->ends[low] : following, following};
 }
 
 /* Of outputs at one time, the last; only it is shown. */
@@ -46,7 +48,8 @@ static Way way_of(const Call *call, int first, long b) {
         .sense = *member(call, first + 2, b),
         .outputs = member(call, first + 3, b),
         .output_count = size_of(&call->given[first + 3]),
-        .jumps = member(call, first + 4, b),
-        .jump_count = size_of(&call->given[first + 4]),
+        .ends = member(call, first + 4, b),
+        .behind = member(call, first + 4, b) + size_of(&call->given[first + 4]) / 2,
+        .jump_count = size_of(&call->given[first + 4]) / 2,
     };
 }

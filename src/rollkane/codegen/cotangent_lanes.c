@@ -161,7 +161,7 @@ static void pull_block(void *job, long part) {
 }
 
 void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 1, 2, 2, 1, 1, 0, 0, 1, 1};
+    static const int axes[] = {1, 1, 2, 2, 1, 1, 0, 0, 1, 2};
     Call call;
     if (!received(frame, axes, 1, &call)) return NULL;
     /* few blocks, whose lanes wait for the longest motion at their ends */

@@ -33,7 +33,8 @@ class Way(NamedTuple):
         count: How many there are, as a float (up to 2^24 exact in single precision).
         sense: 1, or -1 where the motion went backwards in time.
         outputs: Times of outputs [s], shape (T,).
-        jumps: Times of jumps [s] before which steps end, shape (k,).
+        jumps: Ends of steps [s] and, behind those of them that are before a jump, where
+            the next ones begin, else the same, in order, shape (2, k).
     """
 
     record: Float[Array, " n"]
@@ -41,7 +42,7 @@ class Way(NamedTuple):
     count: Float[Array, ""]  # pyright: ignore[reportIncompatibleMethodOverride]
     sense: Float[Array, ""]
     outputs: Float[Array, " T"]
-    jumps: Float[Array, " k"]
+    jumps: Float[Array, "2 k"]
 
 
 class Rates(NamedTuple):

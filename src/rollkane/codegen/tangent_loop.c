@@ -56,7 +56,7 @@ static void push_group(void *job, long part) {
 }
 
 void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 3, 1, 3, 1, 0, 0, 1, 1};
+    static const int axes[] = {1, 3, 1, 3, 1, 0, 0, 1, 2};
     Call call;
     if (!received(frame, axes, 4, &call)) return NULL;
     in_parallel(push_group, &call, call.batch * groups_of(&call));

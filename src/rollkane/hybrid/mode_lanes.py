@@ -216,7 +216,7 @@ def _check_plain(members: _Members, like: list[Any]) -> None:
     ((loop, y),) = found
     watched = loop.allowed is not None or watches_headings(loop.motion.scenes.rolling)
     numbers = sum(x.size for x in jax.tree.leaves(y))
-    if watched or loop.events or loop.landings.jumps is not None or numbers > SMALL:
+    if watched or loop.events or numbers > SMALL:
         raise NotElementwiseError("steps that are watched for more than their contact")
 
 

@@ -70,13 +70,13 @@ class Loop(Trials):
         accept = accept if look is None else look.stands
         happens = event & accept
         lands = tried.lands & accept
-        # a step ends one number before a jump, even if that is an output
-        saves = lands & (jnp.nextafter(tried.t, jnp.inf) >= self.times[c.path.reached])
+        # a step ends before a jump, even if that is an output
+        begin = self.landings.starts[c.landing]
+        saves = lands & (begin >= self.times[c.path.reached])
         output = jnp.where(saves, last_at(self.times, c.path.reached), 0)
         following = after
-        if self.landings.jumps is not None:
-            begin = jnp.where(lands, self.landings.starts[c.landing], tried.t)
-            following = after._replace(t=begin)
+        if self.landings.behind is not None:
+            following = after._replace(t=jnp.where(lands, begin, tried.t))
         watched, shown, record = c.watched, output, c.record
         if look is not None and watched is not None:
             look = behind(self.events, self.motion, look, watched, happens, after)

@@ -31,10 +31,10 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
 
         model, _, times, *_ = inputs_of(varied)
         begun, count, kept, *events = record
-        jumps = landings_of(model, times, plan).jumps
+        where = landings_of(model, times, plan)
         moments = Moments.of(times, events[0]) if events else None
         shown = times if moments is None else moments.time
-        steps = Steps.of(begun, count, kept, shown, jumps)
+        steps = Steps.of(begun, count, kept, shown, where)
         return Run(along, start, varied, weights), steps, moments
 
     def push(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..codegen import Way
-from .step_control import end_before
+from .step_control import Landings
 
 
 class Steps(NamedTuple):
@@ -20,8 +20,7 @@ class Steps(NamedTuple):
         sense: 1, or -1 where the run went backwards in time.
         outputs: Times of outputs [s], in order, shape (T,); of those at one time only
             the last is shown.
-        jumps: Times of jumps [s] before which steps end, behind which they begin; None
-            for none.
+        landings: Where they had to end, and the next ones to begin.
         kept: States where every 16th step began, the first included, shape (m, n).
     """
 
@@ -30,7 +29,7 @@ class Steps(NamedTuple):
     count: Array  # pyright: ignore[reportIncompatibleMethodOverride]
     sense: Array
     outputs: Float[Array, " T"]
-    jumps: Float[Array, " k"] | None
+    landings: Landings
     kept: Float[Array, "m n"]
 
     @staticmethod
@@ -39,19 +38,17 @@ class Steps(NamedTuple):
         count: Array,
         kept: Float[Array, "m n"],
         times: Float[Array, " T"],
-        jumps: Float[Array, " k"] | None,
+        landings: Landings,
     ) -> "Steps":
-        """Of what was recorded, the times of outputs and of jumps [s]."""
+        """Of what was recorded, times of outputs [s], and where steps had to end."""
         sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
-        jumps = None if jumps is None else sense * jumps
-        return Steps(record, count, sense, sense * times, jumps, kept)
+        where = landings.turned(sense)
+        return Steps(record, count, sense, sense * times, where, kept)
 
     def span(self, i: Array) -> tuple[Array, Array, Array]:
         """Where a step begins, where it ends and where the next one begins [s]."""
         begin, following = self.sense * self.record[i], self.sense * self.record[i + 1]
-        if self.jumps is None:
-            return begin, following, following
-        return begin, end_before(following, self.jumps)[0], following
+        return begin, self.landings.end_before(following)[0], following
 
     def shows(self, i: Array, output: Array) -> Bool[Array, ""]:
         """Whether an output lies at the end of a step."""
@@ -76,8 +73,8 @@ class Steps(NamedTuple):
     @property
     def way(self) -> Way:
         """The same for the compiled loop."""
-        none = self.outputs[:0]
-        jumps = none if self.jumps is None else self.jumps
+        ends, behind = self.landings
+        jumps = jnp.stack([ends[:0], ends[:0]] if behind is None else [ends, behind])
         count = self.count.astype(self.record.dtype)
         return Way(self.record, count, self.sense, self.outputs, jumps)
 

@@ -87,8 +87,8 @@ def _by_diffrax(
     t0, t1 = times[0], times[-1]
     recording = replay is None and adjoint is not None and plan.adjoint is None
     if replay is not None:
-        jumps = landings_of(model, times, plan).jumps
-        controller = ReplaySteps(times=replay[0], jumps=jumps, rtol=rtol, atol=atol)
+        where = landings_of(model, times, plan)
+        controller = ReplaySteps(times=replay[0], landings=where, rtol=rtol, atol=atol)
     else:
         controller = _chooser(plan, rates, like, inputs, recording)
     # they have their own first step, and refuse another

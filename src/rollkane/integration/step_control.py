@@ -37,13 +37,36 @@ class Landings(NamedTuple):
 
     Attributes:
         ends: [s], shape (n,); infinite behind the last.
-        starts: [s], shape (n,).
-        jumps: Times of the jumps [s], or None.
+        behind: [s], shape (n,), none of them before its end; None: the ends themselves.
     """
 
     ends: Float[Array, " n"]
-    starts: Float[Array, " n"]
-    jumps: Float[Array, " k"] | None
+    behind: Float[Array, " n"] | None
+
+    @property
+    def starts(self) -> Float[Array, " n"]:
+        """Where the next steps begin [s], shape (n,)."""
+        return self.ends if self.behind is None else self.behind
+
+    def turned(self, sense: Any) -> "Landings":
+        """With the times of the other direction of time, where that is -1."""
+        turn: Callable[[Array], Array] = lambda t: t * sense
+        return jax.tree.map(turn, self)
+
+    def end_before(
+        self, start: Float[Array, ""]
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """Where the step ends before one that begins at a time, and whether at a jump.
+
+        Args:
+            start: Where a step begins [s]; time runs forwards, here and in itself.
+        """
+        if self.behind is None:
+            return start, jnp.asarray(False)
+        i = jnp.searchsorted(self.behind, start)
+        i = jnp.minimum(i, self.behind.shape[0] - 1)
+        jumped = (self.behind[i] == start) & (self.ends[i] < start)
+        return jnp.where(jumped, self.ends[i], start), jumped
 
     def following(self, t: Number) -> Int[Array, ""]:
         """Number of the first end behind a time [s]."""
@@ -118,12 +141,7 @@ class LandOn(AbstractAround):
 
     def wrap(self, direction: Sense) -> "LandOn":
         """The controller for the direction of time in which diffrax works."""
-
-        def turned(t: Array) -> Array:
-            return t * direction
-
-        landings = jax.tree.map(turned, self.landings)
-        parts = self.controller.wrap(direction), landings
+        parts = self.controller.wrap(direction), self.landings.turned(direction)
         return eqx.tree_at(lambda c: (c.controller, c.landings), self, parts)
 
     def first_step(self, start: RunStart) -> tuple[Number, Any]:
@@ -149,9 +167,9 @@ class LandOn(AbstractAround):
         proposed = next_t1 - next_t0
         shortened = (t1 - t0) < 0.999 * wanted
         dt = jnp.where(keep & shortened, jnp.maximum(proposed, wanted), proposed)
-        ends, starts, jumps = self.landings
+        ends, starts = self.landings.ends, self.landings.starts
         landed = keep & (t1 >= ends[index])
-        if jumps is not None:
+        if self.landings.behind is not None:
             next_t0 = jnp.where(landed, starts[index], next_t0)
             jump = jump | (landed & (starts[index] > ends[index]))
         index = jnp.where(landed, self.landings.following(t1), index)
@@ -167,13 +185,13 @@ def landings(
     Args:
         times: Of :class:`Stops` [s], increasing or decreasing.
         kinks: Times at which the right-hand side has a corner [s]; None: none.
-        jump: Whether it may jump there.
+        jump: Whether steps end before them and begin behind them, as it may jump there.
 
     Returns:
         Where :class:`LandOn` ends its steps.
     """
     if kinks is None:
-        return Landings(times[1:], times[1:], None)
+        return Landings(times[1:], None)
     sign = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     outputs = times * sign
     kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
@@ -185,36 +203,29 @@ def landings(
     repeated = jnp.diff(ends) <= near
     ends = jnp.sort(ends.at[1:].set(jnp.where(repeated, jnp.inf, ends[1:])))
     if not jump:
-        return Landings(ends * sign, ends * sign, None)
+        return Landings(ends * sign, None)
     # the run itself ends on its last time, whatever is there
     jumps = (_distance(ends, kinks) <= near) & (ends < outputs[-1])
-    before = jnp.where(jumps, jnp.nextafter(ends, -jnp.inf), ends)
-    behind = jnp.where(jumps, jnp.nextafter(ends, jnp.inf), ends)
-    at = jnp.where(jumps, ends, jnp.inf)
-    return Landings(before * sign, behind * sign, at * sign)
-
-
-def end_before(
-    start: Float[Array, ""], jumps: Float[Array, " k"]
-) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-    """Where the step ends before one that begins at a time, and whether at a jump.
-
-    As :func:`landings` has it: one number before a jump, the next one number behind it.
-
-    Args:
-        start: Where a step begins [s]; time runs forwards.
-        jumps: Times of jumps [s].
-    """
-    at = jnp.nextafter(start, -jnp.inf)
-    jumped = jnp.any(at == jumps)
-    return jnp.where(jumped, jnp.nextafter(at, -jnp.inf), start), jumped
+    # an output may be beside it by its rounding
+    kink = kinks[_nearest(ends, kinks)]
+    first, last = jnp.minimum(ends, kink), jnp.maximum(ends, kink)
+    before = jnp.where(jumps, jnp.nextafter(first, -jnp.inf), ends)
+    behind = jnp.where(jumps, jnp.nextafter(last, jnp.inf), ends)
+    return Landings(before * sign, behind * sign)
 
 
 def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, " n"]:
     """Of each number from the nearest of a grid in order."""
-    after = jnp.clip(jnp.searchsorted(grid, x), 1, max(grid.shape[0] - 1, 1))
-    nearest = jnp.minimum(jnp.abs(grid[after] - x), jnp.abs(grid[after - 1] - x))
+    nearest = jnp.abs(grid[_nearest(x, grid)] - x)
     return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
+
+
+def _nearest(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Int[Array, " n"]:
+    """Which number of a grid in order is nearest to each."""
+    after = jnp.clip(jnp.searchsorted(grid, x), 0, grid.shape[0] - 1)
+    before = jnp.maximum(after - 1, 0)
+    nearer = jnp.abs(grid[before] - x) < jnp.abs(grid[after] - x)
+    return jnp.where(nearer, before, after)
 
 
 class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any, Any]):
@@ -222,15 +233,14 @@ class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any
 
     Attributes:
         times: Where recorded steps began [s], padded with infinity.
-        jumps: Times of jumps [s] before which steps end, behind which they begin; None
-            for none.
+        landings: Where steps had to end, and the next ones to begin.
         rtol: Relative tolerance to which implicit methods solve [1].
         atol: Absolute tolerance [unit of the state].
         norm: Of what is left of their equations.
     """
 
     times: Float[Array, " n"]
-    jumps: Float[Array, " k"] | None
+    landings: Landings
     rtol: Any
     atol: Any
     norm: Callable[[Any], Number] = cast(
@@ -239,19 +249,12 @@ class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any
 
     def wrap(self, direction: Sense) -> "ReplaySteps":
         """The record for the direction of time in which diffrax works."""
-        times: Callable[[ReplaySteps], Any] = lambda c: (
-            c.times if c.jumps is None else (c.times, c.jumps)
-        )
-
-        def turned(t: Array) -> Array:
-            return t * direction
-
-        return eqx.tree_at(times, self, jax.tree.map(turned, times(self)))
+        parts = self.times * direction, self.landings.turned(direction)
+        return eqx.tree_at(lambda c: (c.times, c.landings), self, parts)
 
     def _end(self, index: int | Int[Array, ""]) -> tuple[Float[Array, ""], Truth]:
         """Where the step ends whose successor is recorded; whether at a jump."""
-        start = self.times[index]
-        return (start, False) if self.jumps is None else end_before(start, self.jumps)
+        return self.landings.end_before(self.times[index])
 
     def first_step(self, start: RunStart) -> tuple[Number, Any]:
         """First recorded step."""
@@ -261,7 +264,7 @@ class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any
         """Next recorded step; the run ends where its record does."""
         t1, number = step.t1, step.controller_state
         _, jumped = self._end(number)
-        start = t1 if self.jumps is None else self.times[number]
+        start = t1 if self.landings.behind is None else self.times[number]
         following, _ = self._end(number + 1)
         recorded = jnp.isfinite(following)
         result = dfx.RESULTS.where(

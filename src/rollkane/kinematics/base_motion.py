@@ -133,7 +133,10 @@ class AbstractBaseMotion(eqx.Module):
 
     @property
     def jumps(self) -> bool:
-        """Whether the acceleration itself may jump at the kinks."""
+        """Whether the acceleration, or a derivative of it, may jump at the kinks.
+
+        Then steps end before each and begin behind it.
+        """
         return False
 
     @property

@@ -91,6 +91,11 @@ class RecordedMotion(AbstractBaseMotion):
         return self.time
 
     @property
+    def jumps(self) -> bool:
+        """True: derivatives by the clock do, though the acceleration does not."""
+        return True
+
+    @property
     def span(self) -> tuple[Array, Array]:
         """First and last sample time [s]."""
         return self.time[0], self.time[-1]
@@ -123,6 +128,11 @@ class IntegratedRecord(AbstractBaseMotion):
     def kinks(self) -> Float[Array, " N"]:
         """The sample times [s]."""
         return self.time
+
+    @property
+    def jumps(self) -> bool:
+        """True: derivatives by the clock do, though the acceleration does not."""
+        return True
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Position, velocity and acceleration at a time [s]; NaN outside the record."""
