@@ -1,5 +1,6 @@
 """Kinematics of the base, and how many coordinates a carried part has."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 import rollkane as rk
 from rollkane.dynamics import observables
 from rollkane.geometry.rotations import rotation_matrix
+from rollkane.identification import paths
 from rollkane.validation.checks import FieldError
 
 ROUNDED = 1e-13  # some dozen roundings of numbers of order 1 to 10
@@ -154,3 +156,62 @@ def test_plain_numbers_are_times_too(t):
                 jax.tree.leaves(found), jax.tree.leaves(expected), strict=True
             ):
                 np.testing.assert_array_equal(a, b)
+
+
+def parts_with_parameters(p):
+    """Everything that takes several functions with the same parameters."""
+    place = lambda a, p: p["k"] * jnp.stack([a[0], 0.0 * a[0], 1.0 + a[0] ** 2])
+    spring = lambda a, p: 0.5 * p["k"] * a[0] ** 2
+    push = lambda t, a, v, p: -p["k"] * v
+    cross = jnp.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    turn = lambda a, p: jax.scipy.linalg.expm(p["k"] * jnp.reshape(a, ()) * cross)
+    inertia = 0.01 * np.eye(3)
+    masses = lambda a, p: place(a, p)[None]
+    at = lambda t, p: p["k"] * jnp.stack([jnp.sin(t), t**2, 0.0 * t])
+    return {
+        "PointMasses": rk.PointMasses(1.0, masses, push, spring, p, 1),
+        "SupportedBody": rk.SupportedBody(
+            1.0, inertia, place, turn, push, spring, p, 1
+        ),
+        "BaseMotion": rk.BaseMotion(at, lambda t, p: turn(jnp.sin(t), p), p),
+    }
+
+
+def all_values(part):
+    """Numbers that all of a part's functions go into."""
+    t, alpha, rate = jnp.asarray(0.3), jnp.array([0.4]), jnp.array([0.7])
+    if isinstance(part, rk.BaseMotion):
+        return jax.tree.leaves(part.at(t))
+    pushed = part.applied(t, alpha, rate)
+    return [*jax.tree.leaves(part.carried(t, alpha, rate)), *pushed]
+
+
+@pytest.mark.parametrize("name", ["PointMasses", "SupportedBody", "BaseMotion"])
+def test_parameters_of_several_functions_are_one_number(name):
+    """A derivative by it is that of all of them, under each of its names."""
+    made = lambda k: parts_with_parameters({"k": k})[name]
+    part = made(jnp.asarray(1.3))
+    listed = [x for x in paths.floats(part) if "parameters" in x]
+    assert listed == ["parameters.k"]
+    k = jnp.asarray(1.3)
+    _, expected = jax.jvp(lambda k: all_values(made(k)), (k,), (1.0,))
+    assert all(np.any(x != 0.0) for x in expected[-1:])
+    for path in ("parameters.k", "position.parameters.k"):
+        keys = paths.keys_of(path)
+        assert paths.found(part, keys) == 1.3
+        moved = lambda k, keys=keys: all_values(paths.replaced(part, keys, k))
+        _, found = jax.jvp(moved, (k,), (1.0,))
+        for mine, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(mine, other, atol=1e-14)
+
+
+def test_functions_that_close_over_traced_numbers_keep_their_parameters():
+    def value(a, k, moved):
+        at = lambda t, p: a * p["k"] * jnp.stack([t, t**2, 0.0 * t])
+        motion = rk.BaseMotion(at, parameters={"k": k})
+        motion = eqx.tree_at(lambda m: m.parameters["k"], motion, moved)
+        return motion.at(jnp.asarray(2.0)).position[1]
+
+    two, three, five = map(jnp.asarray, (2.0, 3.0, 5.0))
+    slopes = jax.grad(value, (0, 1, 2))(two, three, five)
+    assert [float(x) for x in slopes] == [20.0, 0.0, 8.0]

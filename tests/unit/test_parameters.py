@@ -545,6 +545,21 @@ def test_fits_that_are_refused(name):
     assert caught.value.field == field
 
 
+def test_parameters_of_several_functions_have_one_name_at_a_time():
+    spring = rk.PointMasses(
+        0.1,
+        lambda a, p: p["k"] * jnp.stack([a[0], 0.0 * a[0], 0.0 * a[0]])[None],
+        potential=lambda a, p: p["k"] * a[0] ** 2,
+        parameters={"k": 2.0},
+    )
+    scene = rk.Scene(SCENE.body, supported=spring)
+    model = Model(scene, START, None, {})
+    one, other = (f"supported[0].{name}parameters.k" for name in ("", "position."))
+    assert [x for x in known_paths(model) if x.startswith("supp")][-1] == one
+    with pytest.raises(rk.FieldError, match="is there twice"):
+        Layout([model], [rk.Free(one), rk.Free(other)])
+
+
 @pytest.mark.parametrize("delay", [None, -0.02])
 def test_a_record_longer_than_the_base_is_known(delay):
     """By the last sample, or by what the least delay puts behind it."""

@@ -13,7 +13,7 @@ from ..codegen.dependence import reached_numbers
 from ..codegen.scalar_program import NotElementwiseError
 from ..geometry.small_linear import components
 from ..validation.checks import FieldError, is_traced
-from ..validation.user_functions import UserFunction, accepts, check_output
+from ..validation.user_functions import UserFunction, accepts, as_floats, check_output
 
 # So many are solved for in one system as fast, and compiled as soon, as one by one.
 FEW = 3
@@ -21,6 +21,7 @@ FEW = 3
 _MOST_COORDINATES = 8
 
 _Given: TypeAlias = dict[str, Callable[..., Any] | None]
+_OfAlpha: TypeAlias = Callable[[Array], Array]
 _Shapes: TypeAlias = dict[str, tuple[int, ...]]
 
 
@@ -29,10 +30,12 @@ class Made(eqx.Module):
 
     Attributes:
         functions: Name to wrapped function, None for one that was not given.
+        parameters: That all of them take last, or None.
         count: Number of coordinates n.
     """
 
     functions: dict[str, Any]
+    parameters: Any
     count: int = eqx.field(static=True)
 
 
@@ -82,6 +85,7 @@ def _wrapped(
 ) -> Made:
     shapes = shapes | {"force": (n,), "potential": ()}
     functions: dict[str, Any] = {}
+    parameters = as_floats(parameters)
     for name, function in given.items():
         field = f"{owner}.{name}"
         if function is None:
@@ -91,9 +95,10 @@ def _wrapped(
         takes = parameters is not None and accepts(function, 4)
         if name == "force" and callable(function):
             function = _Force(function, n, takes)
-        functions[name] = UserFunction(field, function, size, parameters, of_array=True)
-        check_output(field, functions[name], (size,), shapes[name])
-    return Made(functions, n)
+        wrapped = UserFunction(field, function, size, parameters, True, shared=True)
+        check_output(field, wrapped.of(parameters), (size,), shapes[name])
+        functions[name] = wrapped
+    return Made(functions, parameters, n)
 
 
 class _Force(eqx.Module):
@@ -124,7 +129,7 @@ def _used_coordinates(owner: str, made: Made) -> int:
             function = made.functions.get(name)
             if function is None:
                 continue
-            slopes = cast(Array, jax.jacfwd(function)(alpha))
+            slopes = cast(Array, jax.jacfwd(function.of(made.parameters))(alpha))
             if is_traced(slopes):
                 raise FieldError(
                     f"{owner}.coordinates",
@@ -138,7 +143,7 @@ def _used_coordinates(owner: str, made: Made) -> int:
 
 
 def moved(
-    function: UserFunction, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    function: _OfAlpha, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
 ) -> tuple[Array, Array, Array, tuple[Array, ...]]:
     """Value, rate, second rate at alpha'' = 0, and partial derivatives."""
     if not alpha.shape[0]:
@@ -153,7 +158,7 @@ def moved(
 
 
 def rates_of(
-    function: UserFunction, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
+    function: _OfAlpha, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
 ) -> tuple[Array, Array, Array]:
     """Value, rate, and second rate at alpha'' = 0."""
 
@@ -190,7 +195,7 @@ class Apart(NamedTuple):
         return (x.T if self.by_mass else x).reshape(-1)
 
     def partials(
-        self, position: UserFunction, alpha: Float[Array, " n"]
+        self, position: _OfAlpha, alpha: Float[Array, " n"]
     ) -> tuple[Float[Array, "3 k"], ...]:
         """What the first, the second, ... coordinate of every mass does to it."""
         every = jnp.eye(self.each, dtype=alpha.dtype)
@@ -202,7 +207,9 @@ class Apart(NamedTuple):
         )
 
 
-def apart_of(position: UserFunction, masses: int, coordinates: int) -> Apart | None:
+def apart_of(
+    position: UserFunction, parameters: Any, masses: int, coordinates: int
+) -> Apart | None:
     """How coordinates are shared out among masses, by the program of their places.
 
     None where one coordinate may move several masses, or masses have different numbers
@@ -210,9 +217,10 @@ def apart_of(position: UserFunction, masses: int, coordinates: int) -> Apart | N
     """
     if not masses or coordinates % masses:
         return None
-    place: Callable[[Array, UserFunction], Array] = lambda alpha, own: own(alpha)
+    place: Callable[[Array, Any], Array] = lambda alpha, own: own[0](alpha, own[1])
     try:
-        moves = reached_numbers(place, coordinates, position).any(axis=1)
+        given = position, parameters
+        moves = reached_numbers(place, coordinates, given).any(axis=1)
     except NotElementwiseError:
         return None
     each, index = coordinates // masses, np.arange(coordinates)

@@ -37,6 +37,7 @@ class _Driven(AbstractSupported):
     position: eqx.AbstractVar[UserFunction]
     force: eqx.AbstractVar[UserFunction | None]
     potential: eqx.AbstractVar[UserFunction | None]
+    parameters: eqx.AbstractVar[Any]
 
     def generalized_force(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
@@ -45,11 +46,13 @@ class _Driven(AbstractSupported):
         if self.force is None:
             return None
         arguments = jnp.concatenate([as_time(t)[None], alpha, alpha_dot])
-        return self.force(arguments)
+        return self.force(arguments, self.parameters)
 
     def potential_energy(self, alpha: Float[Array, " n"]) -> Float[Array, ""] | None:
         """The user's potential [J]."""
-        return None if self.potential is None else self.potential(alpha)
+        if self.potential is None:
+            return None
+        return self.potential(alpha, self.parameters)
 
     @property
     def does_work(self) -> bool:
@@ -65,6 +68,7 @@ class PointMasses(_Driven):
         position: The user's function alpha -> (k, 3) [m], body axes.
         force: The user's generalized forces, or None.
         potential: The user's potential energy, or None.
+        parameters: Tree of numbers that all of these take last, or None.
         count: Number of coordinates n.
     """
 
@@ -72,6 +76,7 @@ class PointMasses(_Driven):
     position: UserFunction
     force: UserFunction | None
     potential: UserFunction | None
+    parameters: Any
     count: int = eqx.field(static=True)
 
     def __init__(
@@ -110,7 +115,7 @@ class PointMasses(_Driven):
         shapes = {"position": (self.mass.shape[0], 3)}
         given = {"position": position, "force": force, "potential": potential}
         made = functions_of("PointMasses", given, shapes, parameters, coordinates)
-        self.count = made.count
+        self.count, self.parameters = made.count, made.parameters
         self.position = made.functions["position"]
         self.force = made.functions["force"]
         self.potential = made.functions["potential"]
@@ -121,14 +126,15 @@ class PointMasses(_Driven):
 
         Read off its position's program, each time: a part may get another one.
         """
-        return apart_of(self.position, self.mass.shape[0], self.count)
+        return apart_of(self.position, self.parameters, self.mass.shape[0], self.count)
 
     def carried(
         self, t: Array, alpha: Float[Array, " n"], alpha_dot: Float[Array, " n"]
     ) -> Carried:
         """The masses at one instant; the positions are differentiated here, once."""
         del t
-        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
+        position = self.position.of(self.parameters)
+        place, velocity, bias, partials = moved(position, alpha, alpha_dot)
         return Carried(
             self.mass, place.T, velocity.T, bias.T, tuple(p.T for p in partials)
         )
@@ -143,8 +149,9 @@ class PointMasses(_Driven):
         """The same, with a column for each mass's first, second, ... coordinate."""
         if apart is None:
             return self.carried(t, alpha, alpha_dot)
-        place, velocity, bias = rates_of(self.position, alpha, alpha_dot)
-        partials = apart.partials(self.position, alpha)
+        position = self.position.of(self.parameters)
+        place, velocity, bias = rates_of(position, alpha, alpha_dot)
+        partials = apart.partials(position, alpha)
         return Carried(self.mass, place.T, velocity.T, bias.T, partials)
 
 
@@ -158,6 +165,7 @@ class SupportedBody(_Driven):
         rotation: The user's function alpha -> (3, 3), its axes to body axes.
         force: The user's generalized forces, or None.
         potential: The user's potential energy, or None.
+        parameters: Tree of numbers that all of these take last, or None.
         count: Number of coordinates n.
 
     Source: docs/theory.md, (4.4), for positions and rotations that may both depend on
@@ -170,6 +178,7 @@ class SupportedBody(_Driven):
     rotation: UserFunction
     force: UserFunction | None
     potential: UserFunction | None
+    parameters: Any
     count: int = eqx.field(static=True)
 
     def __init__(
@@ -213,12 +222,12 @@ class SupportedBody(_Driven):
             "potential": potential,
         }
         made = functions_of("SupportedBody", given, shapes, parameters, coordinates)
-        self.count = made.count
+        self.count, self.parameters = made.count, made.parameters
         self.position = made.functions["position"]
         self.rotation = made.functions["rotation"]
         check_rotation(
             "SupportedBody.rotation",
-            self.rotation,
+            self.rotation.of(self.parameters),
             np.outer([0.0, 0.3, -1.1], 1.0 + 0.4 * np.arange(made.count)),
             "its own axes on body axes",
         )
@@ -230,8 +239,9 @@ class SupportedBody(_Driven):
     ) -> Carried:
         """The body at one instant."""
         del t
-        place, velocity, bias, partials = moved(self.position, alpha, alpha_dot)
-        turned = moved(self.rotation, alpha, alpha_dot)
+        position = self.position.of(self.parameters)
+        place, velocity, bias, partials = moved(position, alpha, alpha_dot)
+        turned = moved(self.rotation.of(self.parameters), alpha, alpha_dot)
         return Carried(
             self.mass[None],
             place[:, None],

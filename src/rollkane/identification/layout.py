@@ -250,7 +250,8 @@ def _check_apart(models: Sequence[Model], free: Sequence[Free | Tied]) -> None:
     channels = {name: None for model in models for name in model.channels}
     known: list[tuple[str, paths.Keys]] = []
     for one in free:
-        keys = located(one.path, channels)
+        root, *keys = located(one.path, channels)
+        keys = root, *paths.plain(getattr(models[0], str(root)), tuple(keys))
         for other, others in known:
             shorter = min(len(keys), len(others))
             if keys[:shorter] == others[:shorter]:

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from ..validation.checks import FieldError
+from ..validation.user_functions import UserFunction
 
 Keys = tuple[str | int, ...]
 _PART = re.compile(r"\.?([A-Za-z_][A-Za-z_0-9]*|[0-9]+)|\[([0-9]+)\]")
@@ -58,9 +59,26 @@ def child(tree: Any, key: str | int) -> Any:
     return getattr(tree, key)
 
 
+def plain(tree: Any, keys: Keys) -> Keys:
+    """The path of parameters that an owner holds, by the name of one of its functions.
+
+    ``supported[0].position.parameters.k`` is ``supported[0].parameters.k``.
+    """
+    for i, key in enumerate(keys[:-1]):
+        try:
+            part = child(tree, key)
+        except LookupError:
+            return keys
+        held = isinstance(part, UserFunction) and part.parameters is not None
+        if isinstance(part, UserFunction) and keys[i + 1] == "parameters" and not held:
+            return (*keys[:i], *keys[i + 1 :])
+        tree = part
+    return keys
+
+
 def found(tree: Any, keys: Keys) -> Any:
     """What a model holds at a path."""
-    for key in keys:
+    for key in plain(tree, keys):
         tree = child(tree, key)
     return tree
 
@@ -69,6 +87,7 @@ def replaced(tree: Any, keys: Keys, value: Any) -> Any:
     """The model with another value at a path, which may end inside of an array."""
     if not keys:
         return value
+    keys = plain(tree, keys)
     owner = found(tree, keys[:-1])
     if isinstance(owner, (jax.Array, np.ndarray)):
         inner = jax.numpy.asarray(owner).at[keys[-1]].set(value)

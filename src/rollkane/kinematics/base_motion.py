@@ -31,6 +31,7 @@ from ..validation.checks import FieldError, real, refuse
 from ..validation.remembered import remembered
 from ..validation.user_functions import (
     UserFunction,
+    as_floats,
     as_time,
     check_output,
     check_rotation,
@@ -180,11 +181,13 @@ class BaseMotion(AbstractBaseMotion):
     Attributes:
         position: Base origin as a function of time [m], or None.
         rotation: Base to fixed axes as a function of time [1], or None.
+        parameters: Tree of numbers that both take last, or None.
         given_kinks: Times at which a derivative jumps [s], or None.
     """
 
     position: UserFunction | None
     rotation: UserFunction | None
+    parameters: Any
     given_kinks: Float[Array, " k"] | None
 
     def __init__(
@@ -221,17 +224,19 @@ class BaseMotion(AbstractBaseMotion):
                 "at rest",
             )
         self.position = self.rotation = None
+        self.parameters = as_floats(parameters)
+        given = self.parameters
         if position is not None:
             field = "BaseMotion.position"
-            self.position = UserFunction(field, position, 1, parameters)
-            check_output(field, _of_time(self.position), (), (3,))
+            self.position = UserFunction(field, position, 1, given, shared=True)
+            check_output(field, _of_time(self.position, given), (), (3,))
         if rotation is not None:
             field = "BaseMotion.rotation"
-            self.rotation = UserFunction(field, rotation, 1, parameters)
-            check_output(field, _of_time(self.rotation), (), (3, 3))
+            self.rotation = UserFunction(field, rotation, 1, given, shared=True)
+            check_output(field, _of_time(self.rotation, given), (), (3, 3))
             check_rotation(
                 field,
-                _of_time(self.rotation),
+                _of_time(self.rotation, given),
                 np.array([0.0, 1e-3, 0.1, 0.7, 3.1, 17.0, 101.0]),
                 "the base axes on fixed axes",
             )
@@ -257,18 +262,20 @@ class BaseMotion(AbstractBaseMotion):
         place = turn = (None, None, None)
         spin = change = None
         if self.position is not None:
-            place = _twice(_of_time(self.position), t)
+            place = _twice(_of_time(self.position, self.parameters), t)
         if self.rotation is not None:
-            turn = _twice(_of_time(self.rotation), t)
+            turn = _twice(_of_time(self.rotation, self.parameters), t)
             spin, change = _turning(*turn)
         return BaseKinematics(place[0], turn[0], place[1], place[2], spin, change)
 
 
-def _of_time(function: UserFunction) -> Callable[[Array], Array]:
+def _of_time(function: UserFunction, parameters: Any) -> Callable[[Array], Array]:
     """A user's function as one of a scalar, with an array for a nested sequence."""
 
     def value(t: Array) -> Array:
-        result: Any = function(t[None])  # the user's, which may be a sequence
+        result: Any = function(
+            t[None], parameters
+        )  # the user's, which may be a sequence
         if isinstance(result, (tuple, list)):
             result = jnp.asarray(result, jnp.result_type(t))
         return result

@@ -81,7 +81,7 @@ def linearize(
         inputs: Names of r: "base acceleration x" [m/s^2], "force y" at the mass centre
             [N], "torque z" [N m], all on fixed axes; "force alpha[0]", of a motor on a
             coordinate of what is carried [J per its unit]; or a number of the scene by
-            its path, such as a spring's force ("supported[0].potential.parameters.k").
+            its path, such as a spring's force ("supported[0].parameters.k").
         outputs: Names of y, as of what ``steady_motion`` holds; coordinates of the
             model by their names; ``{"name": function}`` of ``function(scene, t,
             state)``.

@@ -29,7 +29,8 @@ class UserFunction(eqx.Module):
     """A user's function of a few coordinates, and of parameters if it takes them.
 
     Attributes:
-        parameters: Any tree of numbers; passed last where it is not None.
+        parameters: Any tree of numbers; passed last where it is not None, and None
+            where the function's owner holds them for several.
     """
 
     _arrays: Any
@@ -46,6 +47,7 @@ class UserFunction(eqx.Module):
         count: int,
         parameters: Any,
         of_array: bool = False,
+        shared: bool = False,
     ):
         """Wrap ``function``.
 
@@ -57,6 +59,7 @@ class UserFunction(eqx.Module):
             parameters: Tree of numbers, or None for a function without.
             of_array: Only the form with one array, whatever the count; parameters
                 are passed if it takes them (several functions may share them).
+            shared: Whether its owner holds the parameters, and hands them over.
 
         Raises:
             FieldError: not callable, or a signature that fits neither form.
@@ -88,13 +91,14 @@ class UserFunction(eqx.Module):
         self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
         self._digest = ""
         program = self._traced(count)
-        if program is None:
-            return
-        self._digest = digest_of_traced(program)
-        if is_traced(*program.consts):
-            closed = self._closed_over(count)
-            self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
-            self._spread, self._takes_parameters, self.parameters = False, False, None
+        if program is not None:
+            self._digest = digest_of_traced(program)
+            if is_traced(*program.consts):
+                closed = self._closed_over(count)
+                self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
+                self._spread = False
+        if shared or not self._takes_parameters:
+            self.parameters = None
 
     def _traced(self, count: int) -> ClosedJaxpr | None:
         """Its program; None where it has none, for a reason that check_output says."""
@@ -115,25 +119,32 @@ class UserFunction(eqx.Module):
         ``a`` from differentiation.
         """
         function = eqx.combine(self._arrays, self._fixed)
-        form = self._spread, self._takes_parameters, self.parameters
-        call: Callable[[Array], Array] = lambda u: _call(function, *form, u)
-        return eqx.filter_closure_convert(call, jnp.zeros(count))
+        takes, given = self._takes_parameters, (jnp.zeros(count), self.parameters)
+
+        def call(u: Array, parameters: Any = None) -> Array:
+            return _call(function, self._spread, takes, parameters, u)
+
+        return eqx.filter_closure_convert(call, *given[: 1 + takes])
 
     @property
     def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of the user's function, for errors."""
         return _name(self._fixed)
 
-    def __call__(self, coordinates: Array) -> Array:
-        """Value at coordinates of shape (count,)."""
+    def __call__(self, coordinates: Array, parameters: Any = None) -> Array:
+        """Value at coordinates of shape (count,), and parameters of its owner's."""
         function = eqx.combine(self._arrays, self._fixed)
-        return _call(
-            function,
-            self._spread,
-            self._takes_parameters,
-            self.parameters,
-            coordinates,
-        )
+        own = self.parameters if parameters is None else parameters
+        return _call(function, self._spread, self._takes_parameters, own, coordinates)
+
+    def of(self, parameters: Any) -> Callable[[Array], Array]:
+        """The function of coordinates alone, with parameters of its owner's."""
+
+        def value(coordinates: Array) -> Array:
+            return self(coordinates, parameters)
+
+        value.__name__ = self.__name__
+        return value
 
 
 def _call(
