@@ -117,3 +117,15 @@ def test_ensemble_with_velocities_of_their_own_on_a_shared_record():
     assert run.method == "native"
     for k, v in enumerate(velocities):
         np.testing.assert_allclose(run.position[k], exact(moved(v)), atol=STEPS)
+
+
+def test_a_record_that_begins_at_zero_runs_natively():
+    """Of more samples than are chosen from, and of so few that zeros are looked for."""
+    time = STEP * np.arange(40)
+    motion = rk.RecordedMotion(time, np.cos(time))
+    scene = scene_of(motion)
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), *np.zeros((2, 3)))
+    times = np.array([0.0, 0.5])
+    run = rk.simulate(scene, start, times, rtol=1e-12, method="native")
+    assert run.method == "native"
+    np.testing.assert_allclose(run.position, exact(motion, times), atol=STEPS)

@@ -15,7 +15,7 @@ from .data_movement import Numbers, as_objects, numbers_of
 from .derivatives import jvp, pulled
 from .event_layout import Layout
 from .jaxpr_types import Shaped
-from .scalar_program import NotElementwiseError, Program
+from .scalar_program import FEW, NotElementwiseError, Program
 from .scalar_source import (
     Functions,
     Result,
@@ -26,7 +26,6 @@ from .scalar_source import (
     symbols,
 )
 
-# A record's samples are looked up where they lie, whatever they are.
 _MOST_ZEROS = 64
 # A step may come no nearer to zero with a vector that it must not reverse, in relative
 # tolerances: nearer, it may turn the vector by any angle within its error. Loose runs
@@ -47,7 +46,10 @@ def zeros_of(x: Any) -> bytes:
 
     No bytes if it is none, is traced, or too large for its zeros to be its structure.
     """
-    if not hasattr(x, "dtype") or is_traced(x) or np.size(x) > _MOST_ZEROS:
+    if not hasattr(x, "dtype") or is_traced(x):
+        return b""
+    # what is looked up where it lies, as a record's samples are, stays as it lies there
+    if np.size(x) > _MOST_ZEROS or max(np.shape(x), default=0) > FEW:
         return b""
     return (np.asarray(x) == 0).tobytes()
 

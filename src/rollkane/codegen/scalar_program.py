@@ -45,7 +45,7 @@ REDUCTIONS = {
 
 # of so many one is chosen, where they do not lie in memory to be looked up: as many
 # lines for every lookup
-_FEW = 32
+FEW = 32
 # numbers of a loop that is written out: beyond, compilers take too long
 _MOST_NUMBERS = 50_000
 
@@ -289,7 +289,7 @@ class Walk:
         try:
             return self.operate("lookup", {}, [place, numbers], dtype)
         except NotElementwiseError:
-            if len(numbers) > _FEW:
+            if len(numbers) > FEW:
                 raise
         return self.one_of(place, list(numbers), dtype)
 
