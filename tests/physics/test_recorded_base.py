@@ -129,3 +129,46 @@ def test_a_record_that_begins_at_zero_runs_natively():
     run = rk.simulate(scene, start, times, rtol=1e-12, method="native")
     assert run.method == "native"
     np.testing.assert_allclose(run.position, exact(motion, times), atol=STEPS)
+
+
+# -- shaken until it hops --------------------------------------------------------------
+
+HOPS = np.linspace(0.0, 0.5, 11)
+MODES = rk.Modes(friction=0.3, restitution=0.4)
+
+
+def hopping(size):
+    """A ball on a plate whose record has up to 1.5 g downwards, and its start."""
+    t = 0.01 * np.arange(61)
+    shaken = np.stack([3 * np.sin(7 * t), 2 * np.cos(5 * t), 15 * np.sin(20 * t)], 1)
+    scene = scene_of(rk.RecordedMotion(t, size * shaken))
+    return scene, rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0,) * 3)
+
+
+def test_a_ball_hops_on_a_record_natively():
+    scene, start = hopping(1.0)
+    run = rk.simulate(scene, start, HOPS, modes=MODES)
+    assert run.method == "native"
+    assert run.succeeded
+    # it leaves where the plate falls by g, between two samples of the linear record
+    after = np.asarray(run.switches.after)
+    lifts = run.switches.time[np.argmax(after == rk.Mode.FLYING)]
+    falls = np.interp(lifts, 0.01 * np.arange(61), 15 * np.sin(0.2 * np.arange(61)))
+    # by jerks of 300 m/s^3, to the 1e-12 s that events are found within
+    gravity = scene.loads[0].acceleration[2]
+    np.testing.assert_allclose(falls, gravity, rtol=0, atol=1e-9)
+    other = rk.simulate(scene, start, HOPS, modes=MODES, method="diffrax")
+    assert int(run.switches.count) == int(other.switches.count)
+    # the same steps to rounding, and a few impacts
+    np.testing.assert_allclose(run.position, other.position, rtol=0, atol=1e-11)
+
+
+def test_members_of_an_ensemble_hop_on_records_of_their_own():
+    each = [hopping(size) for size in (0.5, 0.9, 1.0, 1.1)]
+    scenes, starts = zip(*each, strict=True)
+    runs = rk.ensemble(list(scenes), list(starts), HOPS, modes=MODES)
+    assert runs.method == "native"
+    for (scene, start), found in zip(each, runs.position, strict=True):
+        alone = rk.simulate(scene, start, HOPS, modes=MODES)
+        assert alone.succeeded
+        np.testing.assert_allclose(found, alone.position, rtol=0, atol=1e-11)

@@ -248,6 +248,19 @@ def test_sums_and_orders():
     compare(lambda x: (jnp.argmax(x), jax.lax.cummax(x), jnp.cumsum(x)), X)
 
 
+def in_order(x):
+    rows = jnp.reshape(x, (5, 3, 4))
+    return jnp.sort(x), *(jnp.sort(rows, axis=axis) for axis in range(3))
+
+
+def test_sorts():
+    compare(in_order, MANY)
+    compare(in_order, MANY.at[jnp.array([3, 41])].set(jnp.nan).at[7].set(-jnp.inf))
+    compare(lambda x: jnp.sort(x), X)
+    whole = lambda x: jnp.sort((1e3 * x).astype(int) % 17)
+    compare(lambda x: (whole(x), jnp.sort(x > 0.5)), MANY)
+
+
 def moved(x):
     rows = jnp.reshape(x, (4, 15))
     return (
@@ -368,10 +381,10 @@ def test_what_is_closed_over():
 
 
 def test_what_is_not_written_in_c():
-    sorts = lambda x: jnp.sort(x)
+    sorts = lambda x: jnp.argsort(x)
     with pytest.raises(NotElementwiseError, match="sort"):
         in_one_program(sorts, MANY)
-    np.testing.assert_array_equal(in_one_program_or_not(sorts, MANY), jnp.sort(MANY))
+    np.testing.assert_array_equal(in_one_program_or_not(sorts, MANY), sorts(MANY))
     mixed = lambda x: jnp.sum(x.astype(jnp.float32) * 2.0)
     with pytest.raises(NotElementwiseError, match="float32"):
         in_one_program(mixed, MANY)

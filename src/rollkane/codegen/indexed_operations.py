@@ -319,6 +319,20 @@ def _largest(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[
     return [top, at]
 
 
+def _sorted(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
+    """Numbers in order along an axis, of what is not one last."""
+    if len(inputs) > 1:
+        raise NotElementwiseError("a sort of several arrays by one")
+    aval, axis = equation.outvars[0].aval, equation.params["dimension"]
+    arrays, count = walk.arrays, aval.shape[axis]
+    x = arrays.in_memory(inputs[0], type_of(aval.dtype))
+    rows = arrays.copied(x.looked_at(lambda a: np.moveaxis(a, axis, -1)))
+    room = arrays.new((count,), x.type)
+    with arrays.loops(rows.shape[:-1]) as row:
+        walk.writer.line(f"sort({count}, &{rows.at((*row, 0))}, {room.base});")
+    return [rows.looked_at(lambda a: np.moveaxis(a, -1, axis))]
+
+
 def _unset(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """An array of which nothing is read before it is written."""
     del inputs
@@ -341,6 +355,7 @@ OPERATIONS: dict[str, _Operation] = {
     "gather": _gathered,
     "scatter": _scattered,
     "scatter-add": _scattered,
+    "sort": _sorted,
     "top_k": _largest,
     **dict.fromkeys(RUNNING, _running),
 }

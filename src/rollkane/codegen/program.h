@@ -30,3 +30,18 @@ INLINE void largest(long n, const real *x, long stride, long k, real *top, real 
         top[at] = one, place[at] = (real)i;
     }
 }
+
+/* Put numbers in order, with room for as many; what is not one last. */
+INLINE void sort(long n, real *x, real *room) {
+    for (long half = 1; half < n; half *= 2) {
+        for (long k = 0; k < n;) {
+            const long from = k, middle = from + half < n ? from + half : n;
+            const long end = middle + half < n ? middle + half : n;
+            for (long i = from, j = middle; k < end; k++) {
+                const int second = j < end && (x[j] < x[i] || (x[i] != x[i] && x[j] == x[j]));
+                room[k] = i < middle && !second ? x[i++] : x[j++];
+            }
+        }
+        memcpy(x, room, n * sizeof *x);
+    }
+}

@@ -201,7 +201,8 @@ def landings(
     added = jnp.where(between & (_distance(kinks, outputs) > near), kinks, jnp.inf)
     ends = jnp.sort(jnp.concatenate([outputs[1:], added]))
     repeated = jnp.diff(ends) <= near
-    ends = jnp.sort(ends.at[1:].set(jnp.where(repeated, jnp.inf, ends[1:])))
+    apart = jnp.where(repeated, jnp.inf, ends[1:])
+    ends = jnp.sort(jnp.concatenate([ends[:1], apart]))
     if not jump:
         return Landings(ends * sign, None)
     # the run itself ends on its last time, whatever is there
