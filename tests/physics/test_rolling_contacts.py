@@ -360,6 +360,83 @@ def test_derivatives_of_a_closed_motion():
     np.testing.assert_allclose(back, found, rtol=0, atol=1e-10)
 
 
+def squeezed(rises):
+    """A ball on the ground, below a plate that is drawn along y, down by ``rises``."""
+    r, V = 0.3, 0.8
+    above = kane.Frame(
+        lambda t, q, u: jnp.stack([0.0 * t, V * t, 2 * r + 0.0 * t]),
+        lambda t, q, u: jnp.asarray(FLIPPED) + 0.0 * t,
+    )
+    bodies = kane.free_bodies([1.0], [0.4 * r * r * np.eye(3)])
+    (ball,) = bodies.frames
+    contacts = [
+        kane.RollingContact(ball, rk.Sphere(r), kane.ground, rk.Plane()),
+        kane.RollingContact(
+            ball, rk.Sphere(r), above, rk.Graph(lambda x, y: rises(y)), name="above"
+        ),
+    ]
+    q, u = [0, 0, r, 1, 0, 0, 0], [0, V / 2, 0, 0, 0, 0]
+    return kane.rolling_contacts(bodies.system, contacts, q, u)
+
+
+def flat_for_a_while():
+    """For 0.1 m, over which the contact goes at 0.4 m/s."""
+    return squeezed(lambda y: jnp.where(y > 0.1, (y - 0.1) ** 4, 0.0))
+
+
+def test_a_run_ends_where_a_constraint_is_no_longer_redundant():
+    """Loosely, too.
+
+    Behind the flat the slip along z grows as 0.4 m/s times the slope, 4 y^3, to 1e-9 of
+    two to four units at y = 1.3 mm, 3.2 ms later.
+    """
+    rolling, times = flat_for_a_while(), np.linspace(0.0, 1.0, 11)
+    assert rolling.redundant == ("above: velocity along z",)
+    for rtol in (1e-9, 1e-2):
+        run = kane.simulate(rolling.system, rolling.start, times, rtol=rtol)
+        assert run.method == "native" or "compiler" in run.why
+        assert run.code == rk.Code.NO_LONGER_REDUNDANT
+        assert '"above: velocity along z"' in run.reason
+        assert 0.25 < float(run.final_time) < 0.2535
+        np.testing.assert_array_equal(np.isnan(run.q[:, 0]), times > 0.25)
+        # roundings of lengths and speeds below one
+        assert float(jnp.max(rolling.gaps(times, run.state)[:3])) < 1e-12
+        assert float(jnp.max(rolling.slips(times, run.state)[:3])) < 1e-12
+
+
+@pytest.mark.slow
+def test_members_of_a_batch_end_where_their_own_constraints_do():
+    """Half a metre before the end of the flat none does within a second.
+
+    Natively and by diffrax. The ball is carried by half of the way, wherever it starts.
+    """
+    rolling = flat_for_a_while()
+    start = rolling.start
+    # along y: on the ground as the ball, on the flipped plate against it
+    moved = jnp.zeros(11).at[jnp.array([1, 8, 10])].set(jnp.array([1.0, 1.0, -1.0]))
+
+    def last(y, method):
+        at = kane.KaneState(start.q + y * moved, start.u)
+        run = kane.simulate(rolling.system, at, [0.0, 1.0], method=method)
+        return run.q[-1, 1], run.code
+
+    for method in ("auto", "diffrax"):
+        both = jax.vmap(lambda y, method=method: last(y, method))
+        place, code = both(jnp.array([0.0, 0.5]))
+        assert code.tolist() == [rk.Code.NO_LONGER_REDUNDANT, rk.Code.COMPLETED]
+        assert np.isnan(place[0])
+        np.testing.assert_allclose(place[1], 0.9, rtol=0, atol=1e-12)
+    slope = jax.grad(lambda y: last(y, "auto")[0])(0.5)
+    np.testing.assert_allclose(slope, 1.0, rtol=0, atol=1e-12)
+
+
+def test_a_start_whose_redundancy_is_chance_is_refused_by_its_row():
+    """At the lowest line of a plate, or on a crest, where slopes are all the same."""
+    row = "start.q: .* by chance.*above: velocity along z.*another start"
+    with pytest.raises(rk.FieldError, match=row):
+        squeezed(lambda y: y**2)
+
+
 def test_bad_contacts_are_refused_by_name():
     flat, q, still = np.eye(3), [0.1, 0.2, 0.3], np.zeros(6)
     below = plate(0.0, 0.0, np.zeros(3), flat)

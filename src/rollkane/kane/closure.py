@@ -4,6 +4,7 @@ The same on the manifold as nothing at all, so that order and derivatives of a m
 are untouched.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -39,3 +40,18 @@ def kept_state(system: KaneSystem, t: Float[Array, ""], state: KaneState) -> Kan
     if system.projection is None:
         return state
     return KaneState(kept(system, t, state.q), state.u)
+
+
+def kept_well(system: KaneSystem, t: Float[Array, ""], state: KaneState) -> KaneState:
+    """A state on the configuration to rounding, after a loose run, too.
+
+    Args:
+        system: The system.
+        t: Time [s].
+        state: Coordinates and independent speeds.
+    """
+
+    def again(state: KaneState, _: None) -> tuple[KaneState, None]:
+        return kept_state(system, t, state), None
+
+    return jax.lax.scan(again, state, None, length=3)[0]

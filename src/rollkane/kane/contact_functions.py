@@ -136,6 +136,18 @@ class Gaps(eqx.Module):
         return _chosen(jnp.concatenate(rows), self.chosen)
 
 
+class Implied(eqx.Module):
+    """Constraints that follow from others: slips, then gaps."""
+
+    slips: Slips
+    gaps: Gaps
+
+    def __call__(self, t: Array, q: Array, u: Array, now: Instant) -> Array:
+        """Its value at (t, q, u)."""
+        parts = [rows(t, q, u, now) for rows in (self.slips, self.gaps) if rows.chosen]
+        return jnp.concatenate(parts)
+
+
 class Projection(eqx.Module):
     """Coordinates at which every contact closes, nearest to given ones.
 
@@ -261,6 +273,7 @@ def extended(
     pairs: tuple[Touching, ...],
     chosen: Chosen,
     root: Float[Array, "m m"],
+    names: tuple[list[str], list[str]],
     eliminated: bool,
 ) -> KaneSystem:
     """The system with its contacts.
@@ -270,6 +283,7 @@ def extended(
         pairs: What touches what.
         chosen: Which constraints count.
         root: ``M^-1/2`` at the start.
+        names: Of all rows of the configuration and of the velocity constraints.
         eliminated: Whether dependent speeds are, else constraints act by multipliers.
     """
 
@@ -291,6 +305,11 @@ def extended(
     loads = [Load(own(load.velocity), own(load.load)) for load in base.loads]
     forces = base.generalized_forces
     extra = sum(sum(pair.coordinates) for pair in pairs)
+    gaps, slips = (
+        tuple(k for k in range(len(all_rows)) if k not in some)
+        for all_rows, some in zip(names, (chosen.gaps, chosen.rows), strict=True)
+    )
+    left = Implied(Slips(base.constraints, slips), Gaps(base.configuration, gaps))
     return KaneSystem(
         base.coordinates + extra,
         base.speeds,
@@ -306,4 +325,6 @@ def extended(
         parameters=base.parameters,
         shared=Shared(base, pairs),
         projection=None if eliminated else Projection(root @ root.T, chosen.normals),
+        implied=left if slips or gaps else None,
+        implied_names=[*(names[1][k] for k in slips), *(names[0][k] for k in gaps)],
     )

@@ -30,6 +30,7 @@ from .contact_start import (
     root_of,
 )
 from .equations import reduced
+from .singular_states import refuse_start
 from .system import KaneState, KaneSystem, Numbers
 
 
@@ -202,13 +203,16 @@ def rolling_contacts(
     free = tuple(independent_coordinates), tuple(independent_speeds)
     along = _normal_rows(shared, normals, len(slips))
     chosen = chosen_of(now, root, system.coordinates, free, along)
-    whole = extended(system, pairs, chosen, corrections.root, False)
-    eliminated = extended(system, pairs, chosen, corrections.root, True)
+    given = system, pairs, chosen, corrections.root, (gaps, slips)
+    whole, eliminated = extended(*given, False), extended(*given, True)
+    start = KaneState(jnp.asarray(place), jnp.asarray(wanted))
+    if whole.implied is not None:
+        refuse_start(whole, t, start)
     lost = np.linalg.svd(now.by_speeds.T)[2][len(chosen.rows) :]
     loose = np.abs(lost).max(axis=0, initial=0.0) > 1e-9
     return RollingSystem(
         whole,
-        KaneState(jnp.asarray(place), jnp.asarray(wanted)),
+        start,
         eliminated,
         tuple(names),
         tuple(name for k, name in enumerate(slips) if k not in chosen.rows),

@@ -19,6 +19,7 @@ from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
 from .closure import kept_state
+from .implied_rows import while_they_follow
 from .linear_solves import followed, inverse_of, solved
 from .partial_velocities import (
     Partials,
@@ -110,9 +111,11 @@ def kane_derivative(system: KaneSystem, t: ArrayLike, state: KaneState) -> KaneS
         state: Coordinates and independent speeds.
 
     Returns:
-        Rates, as a state.
+        Rates, as a state; NaN where rows that were left out do not follow any more.
     """
-    return reduced(system, as_time(t), state).rates()
+    t = as_time(t)
+    now = reduced(system, t, state)
+    return while_they_follow(system, t, state, now.u, now.rates())
 
 
 def reactions(system: KaneSystem, t: ArrayLike, state: KaneState) -> Float[Array, " a"]:

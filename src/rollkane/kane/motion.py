@@ -18,9 +18,10 @@ from ..integration.plans import Problem
 from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
 from ..validation.checks import FieldError
-from ..validation.codes import NO_FAULT, Code, Fields
-from .closure import kept_state
+from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
+from .closure import kept_state, kept_well
 from .equations import all_speeds, kane_derivative, kinetic_energy, reactions
+from .implied_rows import lost
 from .singular_states import refuse_start
 from .system import KaneState, KaneSystem
 
@@ -85,7 +86,11 @@ class KaneTrajectory(eqx.Module):
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
         fields = Fields.of(self.system, self.final_state, "system")
-        return fields.reason(self.code, self.fault)
+        row = ""
+        if int(self.code) == Code.NO_LONGER_REDUNDANT:
+            found = _lost(self.system, self.final_time, self.final_state)
+            row = self.system.implied_names[int(jnp.argmax(found))]
+        return fields.reason(self.code, self.fault, row)
 
     def plot(self, path: str | PathLike[str] | None = None, title: str = "") -> Any:
         """Draw coordinates, speeds and kinetic energy (extra ``plot``).
@@ -184,13 +189,17 @@ def simulate(
     outcome, method, why = run_by(method, refusal, kind, (system, start), run)
     state, final = outcome.state, outcome.final_state
     if system.projection is not None:
-        state = _each(_kept_well, system, outcome.time, state)
-        final = _kept_well(system, outcome.final_time, final)
+        state = _each(kept_well, system, outcome.time, state)
+        final = kept_well(system, outcome.final_time, final)
+    code = outcome.code
+    if system.implied is not None:
+        ended = _lost(system, outcome.final_time, final)
+        state, code = _until_lost(system, outcome.time, state, code, ended)
     return KaneTrajectory(
         time=outcome.time,
         state=state,
         system=system,
-        code=outcome.code,
+        code=code,
         final_time=outcome.final_time,
         final_state=final,
         steps=outcome.steps,
@@ -201,13 +210,34 @@ def simulate(
     )
 
 
-def _kept_well(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
-    """On the configuration, to rounding after a loose run, too."""
+@for_one_call
+def _lost(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, " k"]:
+    """How far each row that followed from others is from zero, of what may be [1]."""
+    kept, u = kept_state(system, t, state), all_speeds(system, t, state)
+    u = jnp.concatenate([u, jnp.zeros(system.auxiliary, u.dtype)])
+    return lost(system, t, kept.q, u, kept.q - state.q)
 
-    def again(state: KaneState, _: None) -> tuple[KaneState, None]:
-        return kept_state(system, t, state), None
 
-    return jax.lax.scan(again, state, None, length=3)[0]
+def _until_lost(
+    system: KaneSystem, time: Array, state: KaneState, code: Array, ended: Array
+) -> tuple[KaneState, Array]:
+    """Outputs and code of a run, up to where rows do not follow from others any more.
+
+    Loose runs may step there, and no other does: it gets stuck a rounding of the clock
+    before. ``ended``: how far the rows are from zero at its end.
+    """
+    nearly = 0.5
+    worst = jnp.max(_each(_lost, system, time, state), axis=-1)
+    gone = jnp.cumsum(worst > nearly) > 0
+
+    def reached(x: Array) -> Array:  # NaN behind, and so are derivatives
+        beyond = gone.reshape(-1, *[1] * (x.ndim - 1))
+        return x * jnp.where(beyond, jnp.nan, 1.0)
+
+    fails = jnp.any(gone) | jnp.any(ended > nearly)
+    fails = fails & (is_stuck(code) | (code == Code.COMPLETED))
+    code = jnp.where(fails, Code.NO_LONGER_REDUNDANT, code)
+    return jax.tree.map(reached, state), code
 
 
 def _sizes(state: KaneState) -> KaneState:

@@ -11,6 +11,7 @@ from ..validation.checks import FieldError, is_traced
 from .affinity import Samples, refuse_curved, sampled
 from .configuration import Held, held, refuse_bound, refuse_free, refuse_violated
 from .equations import Reduced, reduced
+from .implied_rows import Followed, followed_along, refuse_lost
 from .linear_solves import SINGULAR
 from .system import KaneState, KaneSystem
 
@@ -24,6 +25,7 @@ class Examined(NamedTuple):
         q_dot: Rates of the coordinates, shape (n,).
         samples: Of what has to be affine in the speeds.
         held: What becomes of the configuration; None without one.
+        implied: What becomes of rows that follow from others; None without any.
     """
 
     mass_matrix: Float[Array, "i i"]
@@ -31,6 +33,7 @@ class Examined(NamedTuple):
     q_dot: Float[Array, " n"]
     samples: Samples
     held: Held | None
+    implied: Followed | None
 
 
 def refuse_start(
@@ -72,12 +75,15 @@ def examined(
         state: Coordinates and independent speeds.
         equations: At that state.
     """
+    q_dot = equations.of_all.q_dot
+    u_dot = equations.T @ equations.u_dot + equations.bias
     return Examined(
         equations.mass_matrix,
         equations.u,
-        equations.of_all.q_dot,
+        q_dot,
         sampled(system, t, state),
         held(system, t, state, equations.partials),
+        followed_along(system, t, state.q, equations.u, q_dot, u_dot),
     )
 
 
@@ -105,7 +111,8 @@ def refuse(
     Raises:
         FieldError: velocities that are not affine in the speeds, coordinates that
             violate the configuration, kinematics that are not finite, constraints that
-            depend on each other or do not keep the configuration, a mass matrix that
+            depend on each other or do not keep the configuration, or that follow from
+            others there alone, a mass matrix that
             is not positive definite.
     """
     where = f" at t = {float(t):g}, q = {np.asarray(state.q).tolist()}"
@@ -116,6 +123,7 @@ def refuse(
     if eliminated:
         refuse_bound(system, found.held, where)
     _refuse_singular(system, found, where)
+    refuse_lost(system, found.implied, loose, where)
     refuse_free(system, found.held, loose, where)
 
 

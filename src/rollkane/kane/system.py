@@ -96,6 +96,9 @@ class KaneSystem(eqx.Module):
             equations give the reactions against them.
         projection: Function of (t, q, u) -> (n,): the coordinates on the configuration
             that are nearest to q; None: a motion's coordinates are not projected.
+        implied: What follows from constraints and configuration, function of (t, q, u)
+            -> (k,); a motion ends where it is not zero. None for none.
+        implied_names: Of its rows, for errors and reasons.
         by_multipliers: Whether the constraints act by multipliers: no speeds are
             chosen as dependent, and all are in the state.
         parameters: Numbers that the functions depend on.
@@ -109,6 +112,7 @@ class KaneSystem(eqx.Module):
     constraints: GivenFunction | None
     configuration: GivenFunction | None
     projection: GivenFunction | None
+    implied: GivenFunction | None
     parameters: Any
     shared: GivenFunction | None
     coordinates: int = eqx.field(static=True)
@@ -117,6 +121,7 @@ class KaneSystem(eqx.Module):
     dependent_coordinates: tuple[int, ...] = eqx.field(static=True)
     auxiliary: int = eqx.field(static=True)
     by_multipliers: bool = eqx.field(static=True)
+    implied_names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -134,6 +139,8 @@ class KaneSystem(eqx.Module):
         parameters: Any = None,
         shared: Motion | None = None,
         projection: Motion | None = None,
+        implied: Motion | None = None,
+        implied_names: Iterable[str] = (),
     ):
         """Make a system.
 
@@ -167,6 +174,10 @@ class KaneSystem(eqx.Module):
                 place of the parameters.
             projection: ``projection(t, q, u)`` -> the coordinates that fulfil the
                 configuration next to q; without using u, and q itself where q does.
+            implied: ``implied(t, q, u)`` -> constraints of coordinates and of
+                speeds that were left out, as they follow from the others: where they no
+                longer do, a motion ends with ``Code.NO_LONGER_REDUNDANT``.
+            implied_names: What they are called, one each.
 
         Raises:
             FieldError: shapes that do not fit, dependent speeds that are not there,
@@ -229,6 +240,10 @@ class KaneSystem(eqx.Module):
         if projection is not None:
             field = "KaneSystem.projection"
             self.projection = motion(field, projection, (coordinates,))
+        self.implied, self.implied_names = None, tuple(implied_names)
+        if implied is not None:
+            count = len(self.implied_names)
+            self.implied = motion("KaneSystem.implied", implied, (count,))
         _refuse_speeds(self, configuration, *example)
 
     def more(self, t: Array, q: Array, u: Array) -> Any:
