@@ -437,6 +437,21 @@ def test_a_start_whose_redundancy_is_chance_is_refused_by_its_row():
         squeezed(lambda y: y**2)
 
 
+@pytest.mark.slow
+def test_a_carriage_that_starts_on_a_crest_is_refused_by_its_row():
+    """Whether it turns, or goes straight on, where the row would go on to follow.
+
+    No name in the error is one that users of contacts never wrote.
+    """
+    hills = rk.Graph(lambda x, y: 0.15 * jnp.cos(x) + 0.0 * y)
+    q = [0, 0, 0.45, 0, 0, 0.2, 0, 0]
+    for turning in (0.5, 0.0):
+        u = [1.0, 0, 0, turning, 0, 0, 1.0 / 0.3, 1.0 / 0.3]
+        with pytest.raises(rk.FieldError, match="right: velocity along y") as refused:
+            carriage(hills, q, u)
+        assert "KaneSystem" not in str(refused.value)
+
+
 def test_bad_contacts_are_refused_by_name():
     flat, q, still = np.eye(3), [0.1, 0.2, 0.3], np.zeros(6)
     below = plate(0.0, 0.0, np.zeros(3), flat)

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
 from .equations import speeds_of
+from .implied_rows import Followed, followed_along, refuse_lost
 from .partial_velocities import Partials, evaluation
 from .system import KaneState, KaneSystem
 
@@ -43,6 +44,7 @@ class Held(NamedTuple):
         q_ddot: At constant independent speeds, shape (n,).
         by_time_dot: Of F_t along that motion, shape (c,).
         by_place_dot: Of F_q, shape (c, n).
+        implied: Rows that follow from others, along that motion; None without any.
     """
 
     residual: Float[Array, " c"]
@@ -56,6 +58,7 @@ class Held(NamedTuple):
     q_ddot: Float[Array, " n"]
     by_time_dot: Float[Array, " c"]
     by_place_dot: Float[Array, "c n"]
+    implied: Followed | None
 
 
 def held(
@@ -91,9 +94,12 @@ def held(
     (F_t, F_q), *velocities = now
     (F_t_dot, F_q_dot), *_ = later
     q_ddot, *others = (by[0] + by[1] @ moved[1] for by in velocities if by is not None)
+    u_dot = jnp.zeros_like(u)
     for constraints in others:
-        q_ddot = q_ddot + Y @ (follow @ constraints)
-    return Held(F, F_t, F_q, Y, Z, T, s, moved[1], q_ddot, F_t_dot, F_q_dot)
+        u_dot = follow @ constraints
+        q_ddot = q_ddot + Y @ u_dot
+    implied = followed_along(system, t, q, u, moved[1], u_dot)
+    return Held(F, F_t, F_q, Y, Z, T, s, moved[1], q_ddot, F_t_dot, F_q_dot, implied)
 
 
 def _free(found: Held, rtol: float) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +107,7 @@ def _free(found: Held, rtol: float) -> tuple[np.ndarray, np.ndarray]:
 
     Columns: by each independent speed; without them; the rate's own rate.
     """
-    _, F_t, F_q, Y, Z, T, s, q_dot, q_ddot, *dots = (np.asarray(x) for x in found)
+    _, F_t, F_q, Y, Z, T, s, q_dot, q_ddot, *dots = (np.asarray(x) for x in found[:-1])
     turned = dots[0] + dots[1] @ q_dot
     rates = [F_q @ (Y @ T), F_q @ (Y @ s + Z) + F_t, turned + F_q @ q_ddot]
     f, y = np.abs(F_q), np.abs(Y)
@@ -207,6 +213,8 @@ def refuse_free(
         return
     rates, free = _free(found, rtol)
     if free.any():
+        # where a row that was left out is what would have kept it
+        refuse_lost(system, found.implied, rtol, where)
         row = int(np.argmax(free.any(axis=1)))
         raise FieldError(
             "KaneSystem.configuration",
