@@ -199,8 +199,7 @@ class KaneSystem(eqx.Module):
         def motion(field: str, function: Any, shape: tuple[int, ...]) -> GivenFunction:
             return GivenFunction(field, function, shape, example, more, "(t, q, u)")
 
-        field = "KaneSystem.kinematics"
-        self.kinematics = motion(field, kinematics, (coordinates,))
+        self.kinematics = motion("KaneSystem.kinematics", kinematics, (coordinates,))
         self.parts = tuple(
             _checked_part(f"KaneSystem.parts[{k}]", part, motion)
             for k, part in enumerate(parts)
