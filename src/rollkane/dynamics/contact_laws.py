@@ -189,7 +189,10 @@ def _as_it_begins(
         return push, turns
     balance = Balance(M, own * b + w * end(answer))
     known = jnp.stack([dot(friction.direction, e) for e in pair])
-    begun = lambda: -mu * first_way(balance, known)
+    # zero in a lane that follows its slip: it need not find a way, and 0 times NaN is
+    # NaN in reverse mode
+    found = lambda: jnp.where(friction.begins, first_way(balance, known), 0.0)
+    begun = lambda: -mu * found()
     follows = lambda: jnp.stack([x for x in force[-2:] if x is not None])
     along = cast(Array, jax.lax.cond(friction.begins, begun, follows))
     picked = [*force[:-2], *components(along)]

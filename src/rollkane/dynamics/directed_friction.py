@@ -115,7 +115,8 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
         angle = jnp.clip(turn / steepest, -_FARTHEST, _FARTHEST)
         return _by_angle(s, angle), jnp.abs(angle), count + 1
 
-    begun = start / jnp.sqrt(dot(start, start))
+    squared = dot(start, start)  # zero in a lane that does not slip
+    begun = start / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
     carry = jax.lax.stop_gradient(begun), jnp.ones_like(start[0]), jnp.asarray(0)
     going: Callable[[_Search], Array] = lambda carry: (
         (carry[1] > _CLOSE) & (carry[2] < _TURNS)

@@ -11,7 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import quaternion_of
-from ..geometry.small_linear import components, cross, dot, matvec, norm
+from ..geometry.small_linear import (
+    components,
+    cross,
+    dot,
+    matvec,
+    norm,
+    safe_norm,
+)
 from ..kinematics.contact import Contact
 from ..kinematics.voronets import AnyState
 from .bodies import inertia_about
@@ -305,9 +312,14 @@ def outward(scene: Scene, t: Float[Array, ""], state: AnyState) -> Float[Array, 
 def friction_ratio(
     scene: Scene, t: Float[Array, ""], state: AnyState
 ) -> Float[Array, ""]:
-    """Friction coefficient that rolling needs, ``|tangential| / N`` [1]."""
+    """Friction coefficient that rolling needs, ``|T| / N`` [1]; NaN in flight.
+
+    Where nothing pulls along the surface its derivative is taken as zero.
+    """
+    if not state.touches:
+        return jnp.full_like(t, jnp.nan)
     press, pull = press_and_pull(scene, t, state)
-    return norm(pull) / press
+    return safe_norm(pull) / press
 
 
 def kept_energy(scene: Scene) -> str:

@@ -2,8 +2,7 @@
 
 import dataclasses
 import enum
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,9 +24,6 @@ from ..validation.checks import (
     refuse,
     whole,
 )
-
-# Of a scene, the time [s] and a state.
-_Observable: TypeAlias = Callable[[Scene, Array, Any], Any]
 
 
 class Mode(enum.IntEnum):
@@ -300,33 +296,6 @@ class ModedState(eqx.Module):
     def angular_velocity(self) -> Array:
         """On BODY axes [rad/s], shape (3,)."""
         return self.parts.angular_velocity
-
-
-def by_mode(observable: _Observable) -> Callable[[HybridScene, Array, ModedState], Any]:
-    """An observable of one mode's scene and state, as one of a state in modes.
-
-    Args:
-        observable: Function of a scene, the time [s] and a state.
-    """
-
-    def seen(scene: HybridScene, t: Array, state: ModedState) -> Any:
-        modes, scenes, y = scene.modes, scene.in_modes, state.parts
-        found = [observable(scenes.rolling, t, y.rolling())]
-        slips = found[0]
-        if modes.friction is not None:
-            way = modes.friction, state.direction
-            slides = slipping(scenes.rolling, *way, y)
-            slips = observable(slides, t, y.sliding())
-        found += [slips, observable(scenes.flying, t, y.flying())]
-        numbers = Mode.ROLLING, Mode.SLIPPING, Mode.FLYING
-        which = [state.mode == m for m in numbers]
-
-        def pick(*values: Array) -> Array:
-            return jnp.select(which, values, jnp.nan)
-
-        return jax.tree.map(pick, *found)
-
-    return seen
 
 
 class Switches(eqx.Module):

@@ -14,7 +14,8 @@ from ..dynamics import observables
 from ..dynamics.rolling import contact_force
 from ..dynamics.scene import Scene
 from ..geometry.rotations import in_one_sense
-from ..hybrid.modes import Mode, ModedState, by_mode
+from ..hybrid.by_mode import by_mode
+from ..hybrid.modes import Mode, ModedState
 from ..kinematics.coordinates import State
 from ..validation.codes import Code
 from .event_record import Crossings

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, ModedState, Modes, by_mode, of
+from ..hybrid.by_mode import by_mode
+from ..hybrid.modes import HybridScene, ModedState, Modes, of
 
 Shown = Callable[[Any, Any, Any], Any]
 
