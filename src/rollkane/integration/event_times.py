@@ -17,6 +17,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array, Float, Int
 
 from ..codegen.event_layout import Layout
+from ..codegen.linear_call import Linear, linear_call, shapes_of
 from ..kinematics.coordinates import unpack
 from ..validation.checks import FieldError
 from ..validation.codes import Code
@@ -168,7 +169,7 @@ def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     def at_rates(t: Array, y: Array) -> Array:
         return field(event, model, t, y)
 
-    # unused places have no coefficients: what is not a number would stay so backwards
+    # unused places have no coefficients: no derivatives, in either mode
     known: Callable[[Array], Array] = lambda x: jnp.where(happened, x, 0.0)
     speed = rates(t, y, model)
     found, slope = jax.jvp(at_rates, (t, y), (jnp.ones_like(t), speed))
@@ -178,10 +179,34 @@ def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     inverse = known(jnp.where(jnp.abs(found) <= loose, -1.0, jnp.nan) / slope)
     shift = jnp.zeros_like(t)
     for i, coefficients in zip(moves, by, strict=True):
-        shift = shift + inverse * jnp.sum(known(coefficients) * changes[i])
+        shift = shift + jnp.sum(_times(known(coefficients), changes[i]))
+    shift = _times(inverse, shift)
     given_dots = zip((t, y), dots[:2], strict=True)
     filled = [jnp.zeros_like(x) if dot is None else dot for x, dot in given_dots]
     return (t, y), (filled[0] + shift, filled[1] + known(speed) * shift)
+
+
+def _times(coefficients: Float[Array, "*n"], dot: Float[Array, "*n"]) -> Array:
+    """A linear map, whose transpose makes nothing of a cotangent of zero.
+
+    An event of which nothing is asked so adds nothing backwards, even if it has no
+    derivative; one of which something is asked is NaN there, as forwards.
+    """
+    return linear_call(_PRODUCT, (coefficients,), (dot,), shapes_of((dot,)))[0]
+
+
+def _product(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
+    return [residuals[0] * operands[0]]
+
+
+def _product_if_used(
+    residuals: Sequence[Array], cotangents: Sequence[Array]
+) -> list[Array]:
+    c = cotangents[0]
+    return [jnp.where(c == 0.0, jnp.zeros_like(c), residuals[0] * c)]
+
+
+_PRODUCT = Linear(_product, _product_if_used)
 
 
 @jax.custom_jvp
