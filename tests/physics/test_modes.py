@@ -416,6 +416,23 @@ def test_too_many_bounces_end_with_a_code():
     assert 0.0 < run.final_time < 4.0
 
 
+def test_a_viscous_moment_that_lifts_a_body_off_is_named():
+    """Of 4 N m at 20 rad/s: its mass centre, 5 cm behind the contact, falls faster.
+
+    ``w' = 4 / (0.004 + 0.01 + 0.0025) = 242 rad/s^2``, times 0.05 m: 12 m/s^2 > g. In
+    flight nothing turns it, and it falls back at once.
+    """
+    body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1), (-0.05, 0.0, 0.0))
+    loads = rk.Gravity(), rk.RollingResistance(viscous=0.2)
+    scene = rk.Scene(body, loads=loads)
+    start = rk.place(scene, UP, (0.0, 20.0, 0.0), STILL)
+    run = rk.simulate(scene, start, [0.0, 0.1], modes=rk.Modes(restitution=0.0))
+    assert run.code == rk.Code.TOO_MANY_SWITCHES
+    assert run.final_time < 1e-3
+    assert "viscous resistance" in run.reason
+    assert "give dry=" in run.reason
+
+
 def test_a_contact_that_may_pull_is_held_by_friction():
     """``lifts=False``: friction has the size of the force, whichever way it acts.
 

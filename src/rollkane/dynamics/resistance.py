@@ -35,6 +35,9 @@ class _Resistance(AbstractLoad):
     ):
         """Make a resistance; a part that is left out is no part of the program.
 
+        The viscous part does not fade with the normal force: where a run with ``modes``
+        may lift the body off, only the dry one goes through that.
+
         Args:
             viscous: Moment over angular velocity [N m s], 0 or more. None for none.
             dry: The arm of the normal force [m], 0 or more. None for none.

@@ -55,7 +55,9 @@ _REASONS = {
     "body jams or jumps, which this contact law does not have; lower the friction, or "
     "look at final_state with rollkane.dynamics.rolling.painleve_margin",
     Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
-    "keeps: raise it, or rest_speed if the body comes to rest by ever smaller rebounds",
+    "keeps: raise it, or rest_speed if the body comes to rest by ever smaller "
+    "rebounds; if it ended and began again at once, by a viscous resistance, which "
+    "does not vanish with the normal force: give dry= instead",
     Code.SOLVER_STOPPED: "the integrator stopped of itself; look at final_time, "
     "final_state",
     Code.BAD_SCENE: "the scene cannot be used: a number in it is NaN",
