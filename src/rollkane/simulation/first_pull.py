@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ..codegen.compile_effort import for_one_call
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
+from .unreached_outputs import of_reached
 
 _Press = Callable[[Scene, Array, Any], Array]
 
@@ -39,8 +40,8 @@ def first_pull(press: _Press, time: Array, scene: Scene, state: Any) -> Array:
         return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
 
     # one state after the other: mapped over all, it takes four times as long to compile
-    values, slopes = cast(tuple[Array, Array], jax.lax.map(one, (time, state)))
-    return _first_fall(time, values, slopes)
+    known = of_reached(lambda state: jax.lax.map(one, (time, state)), state)
+    return _first_fall(time, *cast(tuple[Array, Array], known))
 
 
 def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
@@ -73,5 +74,11 @@ def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
         return jnp.where(below, low, mid), jnp.where(below, mid, high)
 
     _, x = cast(tuple[Array, Array], jax.lax.fori_loop(0, 60, halve, (low, high)))
+    # it moves as one step of Newton's says, which is of value zero; where it never was
+    # positive, not at all
+    value, slope = jax.jvp(functools.partial(cubic, i), (x,), (jnp.ones_like(x),))
+    falls = (first > 0) & (slope != 0.0)
+    slope = jax.lax.stop_gradient(jnp.where(falls, slope, 1.0))
+    x = x - jnp.where(falls, value - jax.lax.stop_gradient(value), 0.0) / slope
     found = time[i] + x * (time[i + 1] - time[i])
     return jnp.where(jnp.any(fallen), found, jnp.nan)

@@ -109,7 +109,8 @@ class Trajectory(AbstractMotion):
 
         The contact is bilateral and the motion runs on. The time is found between
         outputs on the cubic through values and slopes of the normal force, so its
-        error falls with the fourth power of the distance of the outputs.
+        error falls with the fourth power of the distance of the outputs. It is
+        differentiable.
         """
         if self.switches is not None:
             return self.switches.first_lift
