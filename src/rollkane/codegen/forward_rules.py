@@ -100,13 +100,14 @@ def only(dots: Sequence[Dot]) -> list[Variable]:
 def slope_of(b: Builder, equation: Equation) -> Variable | None:
     """Derivative of a function of one number, written where it is not known by name."""
     name, x, y = equation.primitive.name, equation.invars[0], equation.outvars[0]
-    dtype = y.aval.dtype
+    dtype, params = y.aval.dtype, equation.params
     if name == "sqrt":
         return b.one("div", number(0.5, dtype), y)
     if name == "sin":
-        return b.one("cos", x)
+        # as accurate: XLA, which is asked where x is known, has no default
+        return b.one("cos", x, **params)
     if name == "cos":
-        return b.one("neg", b.one("sin", x))
+        return b.one("neg", b.one("sin", x, **params))
     if name == "exp":
         return y
     if name == "log":
@@ -118,7 +119,7 @@ def slope_of(b: Builder, equation: Equation) -> Variable | None:
     if name == "square":
         return b.one("mul", number(2.0, dtype), x)
     if name == "integer_pow":
-        power = equation.params["y"]
+        power = params["y"]
         less = b.one("integer_pow", x, y=power - 1)
         return b.one("mul", number(power, dtype), less)
     return None

@@ -34,6 +34,8 @@ _IN_NUMPY: dict[str, Callable[..., Any]] = {
     "not": np.invert,
     "abs": np.abs,
     "square": np.square,
+    # of JAX 0.12 and later
+    "one_minus_square": lambda x: (1 - x) * (1 + x),
     "sqrt": np.sqrt,
 }
 
