@@ -26,8 +26,8 @@ def with_entry(array, index, value):
 CHANNELS = {
     "two columns": (lambda: rk.Gyro(ROWS[:, :2]), "Gyro.values", r"\(T, 3\)"),
     "one row of a table": (lambda: rk.Position(ROWS[0]), "Position.values", r"\(T, 3"),
-    "words": (lambda: rk.Gyro([["a", "b", "c"]]), "Gyro.values", "must be numbers"),
-    "ragged": (lambda: rk.Gyro([[1.0], [1.0, 2.0]]), "Gyro.values", "must be numbers"),
+    "words": (lambda: rk.Gyro([["a", "b", "c"]]), "Gyro.values", "real numbers"),
+    "ragged": (lambda: rk.Gyro([[1.0], [1.0, 2.0]]), "Gyro.values", "made of numbers"),
     "infinite": (
         lambda: rk.Marker(with_entry(ROWS, (2, 1), np.inf)),
         "Marker.values",
@@ -90,7 +90,7 @@ def test_channels_that_are_refused(name):
 RECORDS = {
     "one sample": (TIMES[:1], {"gyro": rk.Gyro(ROWS[:1])}, None, "time", "T >= 2"),
     "a table of times": (ROWS, {"gyro": GYRO}, None, "time", r"\(T,\)"),
-    "words": (["now", "then"], {"gyro": GYRO}, None, "time", "must be numbers"),
+    "words": (["now", "then"], {"gyro": GYRO}, None, "time", "real numbers"),
     "NaN": (with_entry(TIMES, 2, np.nan), {"gyro": GYRO}, None, "time", "row 2"),
     "out of order": (
         swapped(2),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.kane import KaneState, KaneSystem, Particle, simulate
 
 from .. import problems
 
@@ -253,3 +254,27 @@ def test_a_normal_is_asked_for_at_edges_only():
     with pytest.raises(rk.FieldError, match="only a sharp edge") as caught:
         rk.place(scene, LEVEL, STILL, STILL, base_normal=(0.0, 0.0, 1.0))
     assert caught.value.field == "place.base_normal"
+
+
+def system():
+    velocity = lambda t, q, u: [u[0], 0.0, 0.0]
+    return KaneSystem(1, 1, lambda t, q, u: u, [Particle(1.0, velocity)])
+
+
+NO_NUMBERS = {
+    "start of a system": lambda: simulate(
+        system(), KaneState(np.array([1.0 + 2.0j]), np.zeros(1)), (0.0, 1.0)
+    ),
+    "samples": lambda: rk.Gyro(np.zeros((3, 3), "timedelta64[s]")),
+    "masked samples": lambda: rk.Gyro(np.ma.array(np.zeros((3, 3)), mask=np.eye(3))),
+    "domain": lambda: rk.Parametric(
+        lambda q: [q[0], q[1], 0.0], domain=[["0", "1"], ["0", "1"]]
+    ),
+    "mass": lambda: rk.Body(np.ma.array(1.0, mask=True), INERTIA, rk.Sphere(0.1)),
+}
+
+
+@pytest.mark.parametrize("name", NO_NUMBERS)
+def test_what_numpy_would_make_numbers_of_is_refused(name):
+    with pytest.raises(rk.FieldError, match=r"real numbers|masked"):
+        NO_NUMBERS[name]()

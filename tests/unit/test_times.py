@@ -1,5 +1,8 @@
 """Output times: derivatives by them, and times that are one stop."""
 
+from decimal import Decimal
+from fractions import Fraction
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -208,3 +211,68 @@ def test_impossible_times_in_a_batch_fail_alone(method):
 def test_times_without_end_are_refused(end):
     with pytest.raises(rk.FieldError, match=r"simulate\.times: must be finite"):
         rk.simulate(*problems.disc(6.0), [0.0, end])
+
+
+SECONDS = r'/ np\.timedelta64\(1, "s"\)'
+NO_TIMES = {
+    "durations": (np.array([0, 1, 500], "timedelta64[ms]"), SECONDS),
+    "dates": (np.array([0, 1, 500], "datetime64[ms]"), SECONDS),
+    "texts": (["0", "0.1", "0.3"], "real numbers"),
+    "truth values": ([False, True], "real numbers"),
+    "complex": (np.array([0.0, 0.1 + 2.0j, 0.3]), "real numbers"),
+    "masked": (np.ma.array(TIMES, mask=[0, 1, 0]), "masked"),
+    "a set": ({0.0, 0.3}, "real numbers"),
+    "ragged": ([0.0, [0.1, 0.3]], "numbers"),
+}
+TAKES_TIMES = {
+    "simulate": lambda times: rk.simulate(*problems.disc(6.0), times),
+    "modes": lambda times: rk.simulate(*problems.disc(6.0), times, modes=rk.Modes(0.3)),
+    "ensemble": lambda times: rk.ensemble(
+        problems.disc(6.0)[0], [problems.disc(6.0)[1]] * 2, times
+    ),
+    "kane": lambda times: kane_simulate(
+        KaneSystem(
+            1, 1, lambda t, q, u: u, [Particle(1.0, lambda t, q, u: [u[0], 0.0, 0.0])]
+        ),
+        KaneState(jnp.zeros(1), jnp.ones(1)),
+        times,
+    ),
+    "Record": lambda times: rk.Record(times, {"gyro": rk.Gyro(np.zeros((3, 3)))}),
+    "RecordedMotion": lambda times: rk.RecordedMotion(times, np.zeros(3)),
+}
+
+
+@pytest.mark.parametrize("name", NO_TIMES)
+@pytest.mark.parametrize("by", TAKES_TIMES)
+def test_what_are_no_times_is_refused(by, name):
+    """Was: 500 ms were 500 s, a masked entry and the real part of a number a time."""
+    times, says = NO_TIMES[name]
+    with pytest.raises(rk.FieldError, match=says) as caught:
+        TAKES_TIMES[by](times)
+    assert caught.value.field.rpartition(".")[2] in ("times", "time")
+
+
+def test_a_known_call_takes_no_masked_times():
+    scene, start = problems.disc(6.0)
+    rk.simulate(scene, start, TIMES)
+    with pytest.raises(rk.FieldError, match="masked"):
+        rk.simulate(scene, start, np.ma.array(TIMES, mask=[0, 1, 0]))
+
+
+def test_exact_numbers_are_numbers():
+    scene, start = problems.disc(6.0)
+    run = lambda *given, **options: rk.simulate(scene, start, *given, **options)
+    wanted = run((0.0, 0.5), rtol=1e-8, atol=1e-9, dt0=0.01)
+    options = {"rtol": Decimal("1e-8"), "atol": Fraction(1, 10**9)}
+    times = [Decimal(0), Fraction(1, 2)]
+    found = run(times, **options, dt0=Decimal("0.01"))
+    np.testing.assert_array_equal(found.position, wanted.position)
+    assert rk.Body(Fraction(3, 2), 0.004 * np.eye(3), rk.Sphere(Decimal("0.1")))
+
+
+@pytest.mark.parametrize("name", ["rtol", "atol", "dt0"])
+@pytest.mark.parametrize("value", [1e-8 + 1j, np.timedelta64(1, "s"), "small", True])
+def test_what_is_no_tolerance_is_refused(name, value):
+    with pytest.raises(rk.FieldError) as caught:
+        rk.simulate(*problems.disc(6.0), TIMES, **{name: value})
+    assert caught.value.field == f"simulate.{name}"

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..dynamics.scene import Scene
 from ..kinematics.voronets import AnyState
-from ..validation.checks import FieldError, real
+from ..validation.checks import FieldError, is_traced, real, real_numbers
 
 
 class AbstractChannel(eqx.Module):
@@ -79,11 +79,10 @@ def samples_of(field: str, values: ArrayLike, columns: int | None) -> np.ndarray
     Raises:
         FieldError: another shape, no numbers, or infinite ones.
     """
-    try:
-        samples = np.asarray(values, float)
-    except (TypeError, ValueError) as error:
-        remedy = "give one row of numbers for each time, NaN where one is missing"
-        raise FieldError(field, values, "must be numbers", remedy) from error
+    remedy = "give one row of numbers for each time, NaN where one is missing"
+    if is_traced(values):
+        raise FieldError(field, values, "must be known numbers", remedy)
+    samples = real_numbers(field, values, remedy).astype(float, copy=False)
     if samples.ndim == 1 and columns in (None, 1):
         samples = samples[:, None]
     wanted = "n" if columns is None else str(columns)

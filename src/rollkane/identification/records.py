@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ..validation.checks import FieldError, real
+from ..validation.checks import FieldError, is_traced, real, real_numbers
 from .channels import AbstractChannel
 from .sensors import Orientation
 
@@ -67,10 +67,9 @@ RESERVED = ("scene", "start", "modes", "body", "base", "supported", "loads", "co
 
 def _times(time: ArrayLike) -> np.ndarray:
     remedy = "give increasing times in seconds"
-    try:
-        known = np.asarray(time, float)
-    except (TypeError, ValueError) as error:
-        raise FieldError("Record.time", time, "must be numbers", remedy) from error
+    if is_traced(time):
+        raise FieldError("Record.time", time, "must be known numbers", remedy)
+    known = real_numbers("Record.time", time, remedy).astype(float, copy=False)
     if known.ndim != 1 or known.size < 2:
         problem = f"must have shape (T,) with T >= 2, not {known.shape}"
         raise FieldError("Record.time", "...", problem, remedy)

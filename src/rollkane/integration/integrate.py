@@ -21,7 +21,15 @@ from numpy.typing import DTypeLike
 
 from ..codegen.compile_effort import Known, around_a_loop
 from ..kinematics.coordinates import pack, unpack
-from ..validation.checks import FieldError, cleared, is_traced, real, refuse, whole
+from ..validation.checks import (
+    FieldError,
+    cleared,
+    is_traced,
+    real,
+    real_numbers,
+    refuse,
+    whole,
+)
 from ..validation.codes import NO_FAULT, first_fault
 from .along_steps import by_steps_of
 from .differentiate import differentiable
@@ -235,29 +243,25 @@ def checked_times(times: Any, dtype: np.dtype[Any]) -> Float[Array, " T"]:
     """Output times [s] of the state's dtype.
 
     Raises:
-        FieldError: times that are not two or more, or not strictly monotonic.
+        FieldError: times that are no real numbers, not two or more, or not strictly
+            monotonic.
     """
-    field = "simulate.times"
+    field, meaning = "simulate.times", "output times in seconds"
     if is_traced(times):
-        return real(field, times, (None,), "output times in seconds").astype(dtype)
-    try:
-        times = np.asarray(times, dtype)
-    except (TypeError, ValueError) as error:
-        raise FieldError(
-            field, times, "must be made of numbers", "give output times in seconds"
-        ) from error
-    if times.ndim != 1 or times.shape[0] < 2:
+        return real(field, times, (None,), meaning).astype(dtype)
+    known = real_numbers(field, times, f"give {meaning}").astype(dtype, copy=False)
+    if known.ndim != 1 or known.shape[0] < 2:
         raise FieldError(
             field, times, "must hold a start and an end", "give two times or more"
         )
-    if not of_numbers(_one_way, times):
+    if not of_numbers(_one_way, known):
         raise FieldError(
             field,
             times,
             "must be finite and strictly increasing or strictly decreasing",
             "sort them and leave out repeated ones",
         )
-    return cast(Array, times)  # NumPy's, being known
+    return cast(Array, known)  # NumPy's, being known
 
 
 def _one_way(times: np.ndarray) -> bool:
@@ -305,8 +309,8 @@ def _positive(
     """A positive number; a traced one in a type, NaN where it is none."""
     if isinstance(value, (str, bytes, bool)) or np.ndim(value) != 0:
         raise FieldError(field, value, problem, remedy)
-    if is_traced(value):
-        value = jnp.asarray(value, dtype)
+    value = real_numbers(field, value, remedy)
+    value = jnp.asarray(value, dtype) if is_traced(value) else float(value)
     return refuse(value, lambda x: ~((x > 0.0) & (x < np.inf)), field, problem, remedy)
 
 

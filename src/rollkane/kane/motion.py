@@ -17,7 +17,7 @@ from ..integration.integrate import checked_times, tolerances, warn_single_preci
 from ..integration.plans import Problem
 from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
 from .equations import all_speeds, kane_derivative, kinetic_energy, reactions
@@ -264,7 +264,10 @@ def _checked_start(system: KaneSystem, start: object) -> KaneState:
         raise FieldError(
             "simulate.start", start, "must be a KaneState", "give KaneState(q, u)"
         )
-    q, u = jnp.asarray(start.q, float), jnp.asarray(start.u, float)
+    q, u = (
+        jnp.asarray(real_numbers(f"simulate.start.{name}", x, "give floats"), float)
+        for name, x in (("q", start.q), ("u", start.u))
+    )
     wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
     for name, array in (("q", q), ("u", u)):
         if array.shape != wanted[name]:

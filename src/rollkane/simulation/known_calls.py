@@ -94,7 +94,8 @@ def key_of_call(
         hash(key)
     except (AttributeError, TypeError, ValueError):
         return None
-    return key if clock.dtype.kind in "fiu" and clock.nbytes <= _MANY else None
+    plain = clock.dtype.kind in "fiu" and not np.ma.is_masked(times)
+    return key if plain and clock.nbytes <= _MANY else None
 
 
 def keep_call(scene: Scene, key: Hashable, ready: ReadyCall) -> None:

@@ -7,6 +7,8 @@ alike: a run with them ends with a code and names the field
 back to the host.
 """
 
+import decimal
+import numbers
 from collections.abc import Callable
 from contextlib import nullcontext
 from typing import Any, cast
@@ -22,6 +24,12 @@ from jaxtyping import Array, Float
 _ARRAYS: tuple[type[Any], ...] = (np.ndarray, jax.Array)
 _TRUTHS: tuple[type[Any], ...] = (bool, np.bool_)
 _WHOLE: tuple[type[Any], ...] = (int, np.integer)
+_EXACT = numbers.Real, decimal.Decimal
+# of NumPy's kinds of durations and dates
+_IN_SECONDS = {
+    "m": '{0} / np.timedelta64(1, "s")',
+    "M": '({0} - {0}[0]) / np.timedelta64(1, "s")',
+}
 
 
 class FieldError(ValueError):
@@ -77,6 +85,41 @@ def dimension(value: Any) -> int:
     return np.ndim(value)
 
 
+def real_numbers(field: str, value: Any, remedy: str) -> Any:
+    """An array of real numbers of any shape: NumPy's, or JAX's where it is traced.
+
+    Fractions, decimals and long whole numbers become floats. What NumPy would turn into
+    numbers silently is refused: texts, truth values, complex numbers, dates and
+    durations (of any unit), masked entries.
+
+    Args:
+        field: Name used in the error.
+        value: Number, nested sequence or array.
+        remedy: What to do where it is none.
+
+    Raises:
+        FieldError: it is not made of real numbers.
+    """
+    if isinstance(value, (str, bytes, bool)) or value is None:
+        raise FieldError(field, value, "must be made of numbers", remedy)
+    if np.ma.is_masked(value):
+        raise FieldError(field, value, "must have no masked entries", remedy)
+    try:
+        # NumPy where the numbers are known: each jnp call would compile a program
+        array: Any = jnp.asarray(value) if is_traced(value) else np.asarray(value)
+        if array.dtype == object and all(isinstance(x, _EXACT) for x in array.flat):
+            array = array.astype(float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise FieldError(field, value, "must be made of numbers", remedy) from error
+    kind = getattr(array.dtype, "kind", "")  # a key's type has none
+    if kind not in "iuf" and not jnp.issubdtype(array.dtype, jnp.floating):
+        if kind in _IN_SECONDS:
+            name = field.rpartition(".")[2]
+            remedy = "give " + _IN_SECONDS[kind].format(name)
+        raise FieldError(field, value, "must be made of real numbers", remedy)
+    return array
+
+
 def real(
     field: str,
     value: Any,
@@ -94,15 +137,7 @@ def real(
         dtype: Of the array; None: of the value.
     """
     remedy = f"give {meaning}"
-    if isinstance(value, (str, bytes, bool)) or value is None:
-        raise FieldError(field, value, "must be made of numbers", remedy)
-    try:
-        # NumPy where the numbers are known: each jnp call would compile a program
-        array = jnp.asarray(value) if is_traced(value) else np.asarray(value)
-    except (TypeError, ValueError) as error:
-        raise FieldError(field, value, "must be made of numbers", remedy) from error
-    if array.dtype.kind not in "iuf" and not jnp.issubdtype(array.dtype, jnp.floating):
-        raise FieldError(field, value, "must be made of real numbers", remedy)
+    array = real_numbers(field, value, remedy)
     matches = len(shape) == array.ndim and all(
         wanted in (None, found)
         for wanted, found in zip(shape, array.shape, strict=True)

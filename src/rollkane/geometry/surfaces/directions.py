@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...validation.checks import FieldError
+from ...validation.checks import FieldError, real_numbers
 from ..local_geometry import LocalGeometry, from_chart
 from ..rotations import tangent_pair
 from ..small_linear import components, dot, norm
@@ -24,10 +24,11 @@ _PAIR_SAMPLES = 31  # along each of two coordinates
 
 def domain_of(field: str, domain: object, count: int) -> tuple[Any, ...]:
     """Static ranges ((low, high), ...) from a user's domain, checked."""
+    wanted = "(low, high)" if count == 1 else "((low, high), (low, high))"
+    known = real_numbers(field, domain, f"give {wanted}")
     try:
-        ranges = np.asarray(domain, dtype=float).reshape(count, 2)
+        ranges = np.asarray(known, dtype=float).reshape(count, 2)
     except (TypeError, ValueError) as error:
-        wanted = "(low, high)" if count == 1 else "((low, high), (low, high))"
         raise FieldError(field, domain, "must be ranges", f"give {wanted}") from error
     if not (np.all(np.isfinite(ranges)) and np.all(ranges[:, 0] < ranges[:, 1])):
         raise FieldError(
