@@ -1,6 +1,6 @@
 """Arrays of numbers that change places, where nothing is computed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
@@ -12,8 +12,25 @@ from .jaxpr_types import Params
 Numbers = np.ndarray  # of objects: NumPy scalars where known, else a target's values
 
 
+class NotElementwiseError(ValueError):
+    """A program has an operation that is not one on single numbers."""
+
+
+def refuse_keys(arrays: Iterable[Any]) -> None:
+    """Refuse ``jax.random.key``: what is in it only JAX knows.
+
+    Raises:
+        NotElementwiseError: a type of JAX's own.
+    """
+    for x in arrays:
+        if not isinstance(x.dtype, np.dtype):
+            raise NotElementwiseError(f"numbers of {x.dtype}")
+
+
 def numbers_of(array: Any) -> Numbers:
     """The numbers of an array, as objects: NumPy scalars, or JAX's if it is traced."""
+    if isinstance(array, jax.Array):
+        refuse_keys([array])
     if is_traced(array):
         flat = jax.numpy.reshape(array, -1)
         return as_objects(jax.numpy.unstack(flat) if flat.size else (), array.shape)

@@ -44,9 +44,11 @@ def least_product(rtol: Any) -> Any:
 def zeros_of(x: Any) -> bytes:
     """Which numbers of an array are zero, one byte for each.
 
-    No bytes if it is none, is traced, or too large for its zeros to be its structure.
+    No bytes if it is none, is traced, holds keys of random numbers, or is too large for
+    its zeros to be its structure.
     """
-    if not hasattr(x, "dtype") or is_traced(x):
+    of_numbers = isinstance(getattr(x, "dtype", None), np.dtype)
+    if not of_numbers or is_traced(x):
         return b""
     # what is looked up where it lies, as a record's samples are, stays as it lies there
     if np.size(x) > _MOST_ZEROS or max(np.shape(x), default=0) > FEW:

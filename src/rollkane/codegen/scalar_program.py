@@ -18,7 +18,14 @@ from jax.extend import core
 
 from .along_an_axis import ALONG, along
 from .called_programs import CalledPrograms, rows_of
-from .data_movement import MOVES, Numbers, as_objects, numbers_of
+from .data_movement import (
+    MOVES,
+    NotElementwiseError,
+    Numbers,
+    as_objects,
+    numbers_of,
+    refuse_keys,
+)
 from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable, numbers_in
 from .known_numbers import KNOWN, SHORTCUTS, of_known
 from .tracing import becoming_c
@@ -54,10 +61,6 @@ Operate = Callable[[str, Params, list[Any], np.dtype], Any]
 Axes = Sequence[int]
 
 
-class NotElementwiseError(ValueError):
-    """A program has an operation that is not one on single numbers."""
-
-
 class Program:
     """What a function does to single numbers.
 
@@ -75,6 +78,9 @@ class Program:
         Args:
             function: Of trees of arrays, to a tree of arrays.
             arguments: Trees of arrays, or of their shapes and types.
+
+        Raises:
+            NotElementwiseError: keys of random numbers.
         """
         with becoming_c():
             self._closed = cast(ClosedJaxpr, jax.make_jaxpr(function)(*arguments))
@@ -82,6 +88,7 @@ class Program:
             jax.ShapeDtypeStruct(x.shape, x.dtype) for x in self._closed.out_avals
         ]
         self.closed = self._closed.consts
+        refuse_keys([*self._closed.in_avals, *self.closed])
 
     def __call__(
         self,

@@ -15,7 +15,7 @@ from ..validation.checks import is_traced
 from .array_memory import Memory, packed
 from .compiler import NoCompilerError
 from .control_flow import Structured
-from .data_movement import as_objects
+from .data_movement import as_objects, refuse_keys
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Aval, Jaxpr
 from .memory_walk import SMALL, Value
@@ -109,6 +109,7 @@ class Whole(NamedTuple):
 
         with becoming_c():
             closed, like = jax.make_jaxpr(whole, return_shape=True)(arrays)
+        refuse_keys([*closed.consts, *jax.tree.leaves(arrays)])
         traced = [x for x in closed.consts if is_traced(x)]
         consts = [None if is_traced(x) else np.asarray(x) for x in closed.consts]
         given = (x.dtype for x in [*traced, *jax.tree.leaves(arrays)])

@@ -46,7 +46,8 @@ def in_precision(dtype: np.dtype[Any], tree: _T) -> _T:
 
 
 def _is_real(x: Any) -> bool:
-    return hasattr(x, "dtype") and x.dtype.kind == "f"
+    # a key's type has no kind
+    return getattr(getattr(x, "dtype", None), "kind", None) == "f"
 
 
 def _floats(tree: Any) -> set[np.dtype[Any]]:
