@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.dynamics.observables import base_rotation
 from rollkane.kane import KaneState, KaneSystem, Particle, simulate
 
 from .. import problems
@@ -278,3 +279,9 @@ NO_NUMBERS = {
 def test_what_numpy_would_make_numbers_of_is_refused(name):
     with pytest.raises(rk.FieldError, match=r"real numbers|masked"):
         NO_NUMBERS[name]()
+
+
+def test_the_axes_of_a_base_at_rest_at_a_time_without_type():
+    """Was: an AttributeError of a float."""
+    scene, start = problems.disc(6.0)
+    np.testing.assert_array_equal(base_rotation(scene, 0.0, start), np.eye(3))

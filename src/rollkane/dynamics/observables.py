@@ -131,10 +131,10 @@ def base_position(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array,
 
 def base_rotation(scene: Scene, t: Float[Array, ""], state: Any) -> Float[Array, "3 3"]:
     """Base to FIXED axes [1]."""
-    del state
     motion = scene.base.motion
     rotation = None if motion is None else motion.at(t).rotation
-    return jnp.eye(3, dtype=t.dtype) if rotation is None else rotation
+    level = jnp.eye(3, dtype=state.angular_velocity.dtype)
+    return level if rotation is None else rotation
 
 
 def kinetic_energy(
