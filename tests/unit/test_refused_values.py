@@ -285,3 +285,28 @@ def test_the_axes_of_a_base_at_rest_at_a_time_without_type():
     """Was: an AttributeError of a float."""
     scene, start = problems.disc(6.0)
     np.testing.assert_array_equal(base_rotation(scene, 0.0, start), np.eye(3))
+
+
+@jax.custom_vjp
+def wave(x):
+    return jnp.sin(x)
+
+
+wave.defvjp(lambda x: (jnp.sin(x), x), lambda x, g: (jnp.cos(x) * g,))
+BACKWARDS = {
+    "Graph.f": lambda: rk.Graph(lambda x, y: 0.1 * wave(x)),
+    "Implicit.f": lambda: rk.Implicit(
+        jax.jit(lambda x: x @ x - 1.0 + 0.1 * wave(x[0])), size=1.0
+    ),
+    "BaseMotion.position": lambda: rk.BaseMotion(
+        position=lambda t: jnp.stack([wave(t), 0.0 * t, 0.0 * t])
+    ),
+}
+
+
+@pytest.mark.parametrize("field", BACKWARDS)
+def test_slopes_that_are_known_backwards_alone_are_refused(field):
+    """Was: "Differentiation rule for 'custom_lin' not implemented", by place."""
+    with pytest.raises(rk.FieldError, match=r"use jax\.custom_jvp") as caught:
+        BACKWARDS[field]()
+    assert caught.value.field == field

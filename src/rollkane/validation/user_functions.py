@@ -62,7 +62,8 @@ class UserFunction(eqx.Module):
             shared: Whether its owner holds the parameters, and hands them over.
 
         Raises:
-            FieldError: not callable, or a signature that fits neither form.
+            FieldError: not callable, a signature that fits neither form, or one of
+                coordinates whose derivatives are known backwards alone.
         """
         if not callable(function):
             raise FieldError(
@@ -92,6 +93,9 @@ class UserFunction(eqx.Module):
         self._digest = ""
         program = self._traced(count)
         if program is not None:
+            if not of_array and _calls(program, "custom_vjp_call"):
+                problem = "has a custom_vjp, and its slopes are taken forwards"
+                raise FieldError(field, function, problem, "use jax.custom_jvp")
             self._digest = digest_of_traced(program)
             if is_traced(*program.consts):
                 closed = self._closed_over(count)
@@ -234,6 +238,17 @@ class GivenFunction(eqx.Module):
         """Its value, at arguments of which the last is what it may not want."""
         function = eqx.combine(self._arrays, self._fixed)
         return _value(self._takes_more, function, *arguments)
+
+
+def _calls(program: Any, name: str) -> bool:
+    """Whether a program, or one inside of it, has an operation."""
+    for equation in program.eqns:
+        inner = jax.tree.leaves(list(equation.params.values()))
+        if equation.primitive.name == name:
+            return True
+        if any(_calls(x, name) for x in inner if hasattr(x, "eqns")):
+            return True
+    return False
 
 
 def _name(function: Any) -> str:
