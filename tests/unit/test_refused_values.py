@@ -310,3 +310,10 @@ def test_slopes_that_are_known_backwards_alone_are_refused(field):
     with pytest.raises(rk.FieldError, match=r"use jax\.custom_jvp") as caught:
         BACKWARDS[field]()
     assert caught.value.field == field
+
+
+@pytest.mark.parametrize("dtype", [np.float16, jnp.bfloat16])
+def test_half_precision_is_refused(dtype):
+    """Was: "array type float16 is unsupported in linalg"."""
+    with pytest.raises(rk.FieldError, match="is in half precision"):
+        rk.Body(dtype(1.0), INERTIA.astype(dtype), rk.Sphere(dtype(0.1)))

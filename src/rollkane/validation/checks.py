@@ -147,6 +147,9 @@ def real(
         raise FieldError(
             field, value, f"must have shape {wanted}, not {array.shape}", remedy
         )
+    if array.dtype.itemsize < 4 and jnp.issubdtype(array.dtype, jnp.floating):
+        problem, precise = "is in half precision", "give float64, or float32"
+        raise FieldError(field, value, problem, precise)
     widest = jnp.result_type(float)
     if array.dtype.kind in "iu" or array.dtype.itemsize > widest.itemsize:
         array = array.astype(widest)
