@@ -323,8 +323,9 @@ def _sorted(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[V
     """Numbers in order along an axis, of what is not one last."""
     if len(inputs) > 1:
         raise NotElementwiseError("a sort of several arrays by one")
-    aval, axis = equation.outvars[0].aval, equation.params["dimension"]
-    arrays, count = walk.arrays, aval.shape[axis]
+    aval, arrays = equation.outvars[0].aval, walk.arrays
+    axis: int = equation.params["dimension"]
+    count = aval.shape[axis]
     x = arrays.in_memory(inputs[0], type_of(aval.dtype))
     rows = arrays.copied(x.looked_at(lambda a: np.moveaxis(a, axis, -1)))
     room = arrays.new((count,), x.type)

@@ -78,8 +78,8 @@ _REASONS = {
     "its contact needs more friction than there is, and free to spin it is held by "
     "less; use Rolling(), or more friction",
     Code.NO_LONGER_REDUNDANT: "a constraint that followed from the others at the "
-    "start, and was left out, does not follow from them any more: the motion up to here "
-    "is right, and from here on the contacts leave less free, or nothing; go on with "
+    "start, and was left out, does not follow from them any more: the motion up to "
+    "here is right, and from here on the contacts leave less free, or nothing; go on with "
     "kane.rolling_contacts from where it counts, or leave out a contact",
     Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
