@@ -79,8 +79,8 @@ _REASONS = {
     "less; use Rolling(), or more friction",
     Code.NO_LONGER_REDUNDANT: "a constraint that followed from the others at the "
     "start, and was left out, does not follow from them any more: the motion up to "
-    "here is right, and from here on the contacts leave less free, or nothing; go on with "
-    "kane.rolling_contacts from where it counts, or leave out a contact",
+    "here is right, and from here on the contacts leave less free, or nothing; go on "
+    "with kane.rolling_contacts from where it counts, or leave out a contact",
     Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
 
