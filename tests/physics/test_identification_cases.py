@@ -119,6 +119,7 @@ def test_sensors_and_their_places():
     assert found.chi2 / found.degrees_of_freedom < 1.0 + 4.0 * np.sqrt(2.0 / 230)
 
 
+@pytest.mark.slow
 def test_the_start_of_an_egg():
     """Its orientation is found, and is that of the runs, where its contact is held."""
     egg = rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.14 * jnp.cos(s)))

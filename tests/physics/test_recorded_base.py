@@ -157,6 +157,12 @@ def test_a_ball_hops_on_a_record_natively():
     # by jerks of 300 m/s^3, to the 1e-12 s that events are found within
     gravity = scene.loads[0].acceleration[2]
     np.testing.assert_allclose(falls, gravity, rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_hops_by_diffrax_are_the_same():
+    scene, start = hopping(1.0)
+    run = rk.simulate(scene, start, HOPS, modes=MODES)
     other = rk.simulate(scene, start, HOPS, modes=MODES, method="diffrax")
     assert int(run.switches.count) == int(other.switches.count)
     # the same steps to rounding, and a few impacts

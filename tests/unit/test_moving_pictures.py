@@ -124,7 +124,9 @@ def test_carried_masses_are_where_the_user_put_them(shell):
     (pendulum,) = shell.scene.supported
     assert drawn.masses.tolist() == np.asarray(pendulum.mass).tolist()
     for alpha, places in zip(drawn.alpha, drawn.carried, strict=True):
-        expected = np.asarray(pendulum.position(jnp.asarray(alpha)))
+        expected = np.asarray(
+            pendulum.position(jnp.asarray(alpha), pendulum.parameters)
+        )
         np.testing.assert_allclose(places, expected, atol=ROUNDED)
 
 

@@ -553,7 +553,7 @@ def test_parameters_of_several_functions_have_one_name_at_a_time():
         parameters={"k": 2.0},
     )
     scene = rk.Scene(SCENE.body, supported=spring)
-    model = Model(scene, START, None, {})
+    model = Model(scene, START, jnp.zeros(()), None, {})
     one, other = (f"supported[0].{name}parameters.k" for name in ("", "position."))
     assert [x for x in known_paths(model) if x.startswith("supp")][-1] == one
     with pytest.raises(rk.FieldError, match="is there twice"):
@@ -571,3 +571,16 @@ def test_a_record_longer_than_the_base_is_known(delay):
         rk.fit(scene, START, RECORD, free)
     with pytest.raises(rk.FieldError, match=r"leave the record of Base\.motion"):
         rk.identifiability(scene, START, RECORD, free)
+
+
+def test_a_function_asks_for_parameters_of_its_owner():
+    spring = rk.PointMasses(
+        0.1,
+        lambda a, p: p["k"] * jnp.stack([a[0], 0.0 * a[0], 0.0 * a[0]])[None],
+        parameters={"k": 2.0},
+    )
+    alpha = jnp.asarray([0.5])
+    place = spring.position(alpha, spring.parameters)
+    np.testing.assert_array_equal(place, [[1.0, 0.0, 0.0]])
+    with pytest.raises(rk.FieldError, match=r"part\.position\(alpha, part\.param"):
+        spring.position(alpha)

@@ -30,7 +30,7 @@ def ends(name, turn, **options):
     return rk.simulate(scene, start, (0.0, 0.5), rtol=1e-10, **options)
 
 
-@pytest.mark.parametrize("name", FORCES)
+@pytest.mark.parametrize("name", slow_but(["closed over"], FORCES))
 @pytest.mark.parametrize("method", slow_but(["auto"], ["auto", "diffrax"]))
 def test_runs_and_derivatives_go_by_xla(name, method):
     """Was: a TypeError where it is closed over, an AttributeError as a parameter."""

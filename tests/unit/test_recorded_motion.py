@@ -140,7 +140,7 @@ def test_free_numbers_of_a_record_are_those_it_is_made_of():
         rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)), rk.Base(rk.Plane(), motion)
     )
     start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    offered = known_paths(Model(scene, start, None, {}))
+    offered = known_paths(Model(scene, start, jnp.zeros(()), None, {}))
     assert [path for path in offered if path.startswith("base.motion.")] == [
         "base.motion.time",
         "base.motion.acceleration",

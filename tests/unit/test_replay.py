@@ -22,6 +22,7 @@ from rollkane.integration import replay
 from rollkane.integration.differentiate import differentiable
 from rollkane.integration.recorded_steps import Steps
 from rollkane.integration.replay import Run
+from rollkane.integration.step_control import Landings
 
 from .test_native import OPERATIONS
 from .test_native import rates as every_operation
@@ -33,6 +34,10 @@ BEGINS = np.array([0.0, 0.1, 0.25, np.nextafter(AT, 1.0), 0.7, 1.0])
 ENDS = np.array([0.1, 0.25, np.nextafter(AT, 0.0), 0.7, 1.0])
 RECORD = jnp.asarray(np.append(BEGINS, [np.inf, np.inf]))
 TIMES = jnp.asarray([0.0, 0.25, AT, 1.0])
+JUMPS = Landings(
+    jnp.asarray([0.25, np.nextafter(AT, 0.0), 1.0]),
+    jnp.asarray([0.25, np.nextafter(AT, 1.0), 1.0]),
+)
 START, PULL = jnp.asarray([0.4, -0.3]), jnp.asarray([9.0, 0.7])
 # a step's rounding, a few times over
 ROUNDING = {"rtol": 1e-13, "atol": 1e-14}
@@ -66,7 +71,7 @@ EXACT = jax.jacfwd(lambda *x: states(*x)[jnp.array([0, 2, 3, 5])], (0, 1))(START
 def run_and_steps(count=5, times=TIMES, between=replay.STEPS_BETWEEN):
     run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
     kept = states(START, PULL)[::between]
-    return run, Steps.of(RECORD, jnp.asarray(count), kept, times, jnp.asarray([AT]))
+    return run, Steps.of(RECORD, jnp.asarray(count), kept, times, JUMPS)
 
 
 BOTH = pytest.mark.parametrize("in_c", [True, False], ids=["C", "XLA"])
@@ -147,7 +152,9 @@ def test_backwards_in_time(in_c):
     record = RECORD[:6][::-1].at[2].set(AT)
     run = Run(rates, lambda start, pull: 1.0 * start, [START, PULL], WEIGHTS)
     times = jnp.asarray([1.0, 0.0])
-    steps = Steps.of(record, jnp.asarray(5), START[None], times, None)
+    steps = Steps.of(
+        record, jnp.asarray(5), START[None], times, Landings(times[1:], None)
+    )
     exact = jax.jacfwd(lambda x: states(x, PULL, record[:-1], record[1:])[-1])(START)
     asked = jnp.zeros((2, 2)), jnp.asarray([1.0, 0.0])
     found = replay.pull(run, steps, *asked, in_c)[0]
@@ -188,7 +195,9 @@ def test_every_operation_has_its_derivatives(dtype):
     run = Run(along, lambda shared, own, start: 1.0 * start, varied, WEIGHTS)
     record = jnp.asarray([0.0, 0.1, 0.3, np.inf], dtype)
     times = jnp.asarray([0.0, 0.3], dtype)
-    steps = Steps.of(record, jnp.asarray(2), varied[2][None], times, None)
+    steps = Steps.of(
+        record, jnp.asarray(2), varied[2][None], times, Landings(times[1:], None)
+    )
     assert replay._in_c(derivative_loops.TangentLoop, run, varied[2], some(n, 8))
     asked, moved = (some(2, n), some(n)), [some(*x.shape, 8) for x in varied]
     both = [

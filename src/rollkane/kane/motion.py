@@ -264,9 +264,15 @@ def _checked_start(system: KaneSystem, start: object) -> KaneState:
         raise FieldError(
             "simulate.start", start, "must be a KaneState", "give KaneState(q, u)"
         )
+    given = {"q": start.q, "u": start.u}
+    checked = {
+        name: real_numbers(f"simulate.start.{name}", x, "give floats")
+        for name, x in given.items()
+    }
+    # a known array of JAX's stays one in the middle of a trace
     q, u = (
-        jnp.asarray(real_numbers(f"simulate.start.{name}", x, "give floats"), float)
-        for name, x in (("q", start.q), ("u", start.u))
+        jnp.asarray(x if eqx.is_array(x) else checked[name], float)
+        for name, x in given.items()
     )
     wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
     for name, array in (("q", q), ("u", u)):

@@ -75,15 +75,17 @@ def examined(
         state: Coordinates and independent speeds.
         equations: At that state.
     """
-    q_dot = equations.of_all.q_dot
-    u_dot = equations.T @ equations.u_dot + equations.bias
+    q_dot, implied = equations.of_all.q_dot, None
+    if system.implied is not None:
+        u_dot = equations.T @ equations.u_dot + equations.bias
+        implied = followed_along(system, t, state.q, equations.u, q_dot, u_dot)
     return Examined(
         equations.mass_matrix,
         equations.u,
         q_dot,
         sampled(system, t, state),
         held(system, t, state, equations.partials),
-        followed_along(system, t, state.q, equations.u, q_dot, u_dot),
+        implied,
     )
 
 
@@ -112,8 +114,7 @@ def refuse(
         FieldError: velocities that are not affine in the speeds, coordinates that
             violate the configuration, kinematics that are not finite, constraints that
             depend on each other or do not keep the configuration, or that follow from
-            others there alone, a mass matrix that
-            is not positive definite.
+            others there alone, a mass matrix that is not positive definite.
     """
     where = f" at t = {float(t):g}, q = {np.asarray(state.q).tolist()}"
     loose = tolerances(None, None, np.asarray(state.q).dtype)[0]

@@ -39,6 +39,7 @@ class UserFunction(eqx.Module):
     _digest: str = eqx.field(static=True)
     _spread: bool = eqx.field(static=True)
     _takes_parameters: bool = eqx.field(static=True)
+    _of_owner: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -101,6 +102,7 @@ class UserFunction(eqx.Module):
                 closed = self._closed_over(count)
                 self._arrays, self._fixed = eqx.partition(closed, eqx.is_array)
                 self._spread = False
+        self._of_owner = shared and takes > 0 and self._takes_parameters
         if shared or not self._takes_parameters:
             self.parameters = None
 
@@ -136,7 +138,15 @@ class UserFunction(eqx.Module):
         return _name(self._fixed)
 
     def __call__(self, coordinates: Array, parameters: Any = None) -> Array:
-        """Value at coordinates of shape (count,), and parameters of its owner's."""
+        """Value at coordinates of shape (count,), and parameters of its owner's.
+
+        Raises:
+            FieldError: without parameters that its owner holds.
+        """
+        if self._of_owner and parameters is None:
+            problem = "takes parameters, which are its owner's"
+            remedy = "call it with them: part.position(alpha, part.parameters)"
+            raise FieldError(self.__name__, None, problem, remedy)
         function = eqx.combine(self._arrays, self._fixed)
         own = self.parameters if parameters is None else parameters
         return _call(function, self._spread, self._takes_parameters, own, coordinates)
