@@ -91,7 +91,7 @@ class UserFunction(eqx.Module):
                 f"shape ({count},))" + (" and then the parameters" if takes else ""),
             )
         self._arrays, self._fixed = eqx.partition(function, eqx.is_array)
-        self._digest = ""
+        self._digest, self._of_owner = "", False
         program = self._traced(count)
         if program is not None:
             if not of_array and _calls(program, "custom_vjp_call"):
