@@ -26,6 +26,8 @@ from .scalar_source import (
     symbols,
 )
 
+# Numbers of an array whose zeros are structure: frames and inertias of a few bodies.
+# Each other pattern of zeros is a program of its own.
 _MOST_ZEROS = 64
 # A step may come no nearer to zero with a vector that it must not reverse, in relative
 # tolerances: nearer, it may turn the vector by any angle within its error. Loose runs

@@ -4,6 +4,7 @@ A state has more numbers than the constrained motion. The rates keep the constra
 that a motion obeys them if its start does: it is made consistent once, there.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -47,10 +48,7 @@ def consistent(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
     """
     if isinstance(state, VoronetsState):
         return state
-    if state.supported:
-        pairs = zip(rolling_parts(scene.supported), state.supported, strict=True)
-        inner = tuple(consistent(part.scene, t, own) for part, own in pairs)
-        state = eqx.tree_at(lambda s: s.supported, state, inner)
+    state = _of_inner(consistent, scene, t, state)
     if not state.touches:
         return state
     slides = state.slips
@@ -89,10 +87,7 @@ def with_contact_found(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
     """
     if isinstance(state, VoronetsState):
         return state
-    if state.supported:
-        pairs = zip(rolling_parts(scene.supported), state.supported, strict=True)
-        inner = tuple(with_contact_found(part.scene, t, own) for part, own in pairs)
-        state = eqx.tree_at(lambda s: s.supported, state, inner)
+    state = _of_inner(with_contact_found, scene, t, state)
     body, motion = scene.body.surface, scene.base.motion
     if not (state.touches and scene.has_contact_coordinates):
         return state
@@ -105,6 +100,17 @@ def with_contact_found(scene: Scene, t: Float[Array, ""], state: Any) -> Any:
     apart = jax.lax.stop_gradient(norm(body.geometry(found).normal - normal))
     found = spoilt(found, ~(apart <= looseness(normal.dtype)))
     return eqx.tree_at(lambda s: s.contact_on_body, state, found)
+
+
+def _of_inner(
+    function: Callable[[Scene, Array, Any], Any], scene: Scene, t: Array, state: Any
+) -> Any:
+    """A state with the same done to those of bodies that roll on its body."""
+    if not state.supported:
+        return state
+    pairs = zip(rolling_parts(scene.supported), state.supported, strict=True)
+    inner = tuple(function(part.scene, t, own) for part, own in pairs)
+    return eqx.tree_at(lambda s: s.supported, state, inner)
 
 
 def looseness(dtype: DTypeLike) -> float:

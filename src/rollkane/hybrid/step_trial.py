@@ -205,6 +205,7 @@ class Trials(eqx.Module):
         gap, flies = tried.end.values[0], c.place.mode == Mode.FLYING
         slack = rounding(c.place.y, self.reach)
         near = flies & jnp.isnan(c.values[0]) & (jnp.abs(gap + slack) <= slack)
+        # by one rounding of the 64 at least
         closes = rate * (tried.t - c.place.t) <= jnp.minimum(gap, -slack / 64.0)
         return near & closes
 

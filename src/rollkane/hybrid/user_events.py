@@ -108,6 +108,7 @@ class Watched(NamedTuple):
 
     def least(self, values: Float[Array, " E"]) -> Float[Array, " E"]:
         """Of each value at such a moment, what is more than rounding."""
+        # in single precision a few roundings of what the value is made of
         share = max(_NOTHING, 16.0 * float(np.finfo(values.dtype).eps))
         return share * self.size_with(values)
 

@@ -115,7 +115,10 @@ def kane_derivative(system: KaneSystem, t: ArrayLike, state: KaneState) -> KaneS
     """
     t = as_time(t)
     now = reduced(system, t, state)
-    return while_they_follow(system, t, state, now.u, now.rates())
+    if system.implied is None:
+        return now.rates()
+    moved = now.q - state.q
+    return while_they_follow(system, t, now.q, now.u, moved, now.rates())
 
 
 def reactions(system: KaneSystem, t: ArrayLike, state: KaneState) -> Float[Array, " a"]:
@@ -170,8 +173,8 @@ class Reduced(NamedTuple):
     """Equations of the independent speeds; ``u' = T u_i' + bias`` for all.
 
     ``with_auxiliary``: how all speeds move with each auxiliary one. ``partials``: what
-    all of it was made of. ``by_multipliers``: u_i' where multipliers act beside the
-    forcing; else None.
+    all of it was made of. ``q``: coordinates, projected. ``by_multipliers``: u_i' where
+    multipliers act beside the forcing; else None.
     """
 
     mass_matrix: Float[Array, "i i"]
@@ -182,6 +185,7 @@ class Reduced(NamedTuple):
     with_auxiliary: Float[Array, "m a"]
     of_all: KaneEquations
     partials: Partials
+    q: Float[Array, " n"]
     by_multipliers: Float[Array, " i"] | None = None
 
     def rates(self) -> KaneState:
@@ -220,12 +224,13 @@ def reduced(system: KaneSystem, t: Array, state: KaneState) -> Reduced:
         u_dot = along + follow[:m] @ (C[:, :m] @ along + rates.constraints)
         lifted = lifted + follow @ (C @ lifted)
         small = M[:m, :m], forcing[:m], u, free, bias, lifted, of_all, partials
-        return Reduced(*small, u_dot)
+        return Reduced(*small, state.q, u_dot)
     if rates.constraints is not None:
         bias = follow @ rates.constraints
         forcing = forcing - M @ bias
         lifted = lifted + follow @ (partials.by_speeds.constraints @ lifted)
-    return Reduced(T.T @ M @ T, T.T @ forcing, u, T, bias, lifted, of_all, partials)
+    own = T.T @ M @ T, T.T @ forcing, u, T, bias, lifted, of_all, partials
+    return Reduced(*own, state.q)
 
 
 def _rates(

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
-from .closure import kept_state
 from .system import KaneState, KaneSystem
 
 # of coordinates and speeds, and of units of both: what rank decides by at the start. Of
@@ -127,21 +126,19 @@ def lost(
 
 
 def while_they_follow(
-    system: KaneSystem, t: Array, state: KaneState, u: Array, rates: KaneState
+    system: KaneSystem, t: Array, q: Array, u: Array, moved: Array, rates: KaneState
 ) -> KaneState:
     """Rates of a motion, NaN where rows do not follow any more: no step goes there.
 
     Args:
-        system: The system.
+        system: One with rows that follow from others.
         t: Time [s].
-        state: Coordinates and independent speeds.
+        q: Coordinates, projected.
         u: All speeds, as the other constraints allow them.
+        moved: How far the projection moved the coordinates.
         rates: Of the state.
     """
-    if system.implied is None:
-        return rates
-    q = kept_state(system, t, state).q
-    follow = jnp.all(lost(system, t, q, u, q - state.q) < 1.0)
+    follow = jnp.all(lost(system, t, q, u, moved) < 1.0)
 
     def ended(x: Array) -> Array:
         return jnp.where(follow, x, jnp.nan)

@@ -226,7 +226,7 @@ def _until_lost(
     Loose runs may step there, and no other does: it gets stuck a rounding of the clock
     before. ``ended``: how far the rows are from zero at its end.
     """
-    nearly = 0.5
+    nearly = 0.5  # of roundings a thousandth is left; a stuck run is next to 1
     worst = jnp.max(_each(_lost, system, time, state), axis=-1)
     gone = jnp.cumsum(worst > nearly) > 0
 

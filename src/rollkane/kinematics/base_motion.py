@@ -273,9 +273,8 @@ def _of_time(function: UserFunction, parameters: Any) -> Callable[[Array], Array
     """A user's function as one of a scalar, with an array for a nested sequence."""
 
     def value(t: Array) -> Array:
-        result: Any = function(
-            t[None], parameters
-        )  # the user's, which may be a sequence
+        # the user's, which may be a sequence
+        result: Any = function(t[None], parameters)
         if isinstance(result, (tuple, list)):
             result = jnp.asarray(result, jnp.result_type(t))
         return result

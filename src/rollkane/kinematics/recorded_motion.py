@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -20,7 +21,23 @@ from .base_motion import AbstractBaseMotion, BaseKinematics
 _OFF = 0.2
 
 
-class RecordedMotion(AbstractBaseMotion):
+class _Sampled(AbstractBaseMotion):
+    """A motion by samples: derivatives jump at them."""
+
+    time: eqx.AbstractVar[Float[Array, " N"]]
+
+    @property
+    def kinks(self) -> Float[Array, " N"]:
+        """The sample times [s]."""
+        return self.time
+
+    @property
+    def jumps(self) -> bool:
+        """True: derivatives by the clock do, though the acceleration does not."""
+        return True
+
+
+class RecordedMotion(_Sampled):
     """A translation by samples of its acceleration, linear between samples.
 
     Velocity and position are the exact integrals, whatever the samples are: a fit, a
@@ -86,16 +103,6 @@ class RecordedMotion(AbstractBaseMotion):
         return self.for_runs().position
 
     @property
-    def kinks(self) -> Float[Array, " N"]:
-        """The sample times [s]."""
-        return self.time
-
-    @property
-    def jumps(self) -> bool:
-        """True: derivatives by the clock do, though the acceleration does not."""
-        return True
-
-    @property
     def span(self) -> tuple[Array, Array]:
         """First and last sample time [s]."""
         return self.time[0], self.time[-1]
@@ -109,7 +116,7 @@ class RecordedMotion(AbstractBaseMotion):
         return IntegratedRecord(self.time, self.acceleration, *_tables(self))
 
 
-class IntegratedRecord(AbstractBaseMotion):
+class IntegratedRecord(_Sampled):
     """A record with its integrals at the samples, as a run takes it.
 
     Attributes:
@@ -123,16 +130,6 @@ class IntegratedRecord(AbstractBaseMotion):
     acceleration: Float[Array, "N 3"]
     velocity: Float[Array, "N 3"]
     position: Float[Array, "N 3"]
-
-    @property
-    def kinks(self) -> Float[Array, " N"]:
-        """The sample times [s]."""
-        return self.time
-
-    @property
-    def jumps(self) -> bool:
-        """True: derivatives by the clock do, though the acceleration does not."""
-        return True
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Position, velocity and acceleration at a time [s]; NaN outside the record."""
@@ -271,6 +268,7 @@ def _steps(time: Any, eps: float) -> Any:
     to 2 % of the way of a base.
     """
     steps, step, off = _spacing(time)
+    # half a rounding each of both ends, of the sample, and of what is computed of them
     if not is_traced(time):
         near = 4.0 * eps * max(abs(time[0]), abs(time[-1]))
         return step + np.diff(np.where(abs(off) <= near, 0.0, off))
