@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.codegen import RunLoop
 
 from .. import problems
 
@@ -39,6 +40,35 @@ def shaken(depth=0.5, mass=1.0):
 def same(native, slow):
     for a, b in zip(*map(jax.tree.leaves, (native, slow)), strict=True):
         np.testing.assert_allclose(a, b, **ROUNDING)
+
+
+@pytest.mark.parametrize("traced_tolerance", [False, True])
+def test_a_batch_takes_lanes(monkeypatch, traced_tolerance):
+    # not the loop of one motion for each member, which takes five times as long
+    scene, start = disc()
+    loops = []
+    compiled = RunLoop._compiled
+
+    def noted(loop, own, lanes, caller):
+        loops.append(caller)
+        return compiled(loop, own, lanes, caller)
+
+    monkeypatch.setattr(RunLoop, "_compiled", noted)
+    spins = (
+        start.angular_velocity[None]
+        * jnp.linspace(0.9, 1.1, 7 + traced_tolerance)[:, None]
+    )
+
+    def end(spin, rtol):
+        begun = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        return rk.simulate(scene, begun, (0.0, 0.1), rtol=rtol).final_time
+
+    if traced_tolerance:
+        times = jax.jit(jax.vmap(end, (0, None)))(spins, 1e-8)
+    else:
+        times = jax.jit(jax.vmap(lambda spin: end(spin, 1e-8)))(spins)
+    np.testing.assert_array_equal(times, 0.1)
+    assert loops[-1] == "batch_call.c"
 
 
 @pytest.mark.parametrize(

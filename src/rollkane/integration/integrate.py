@@ -121,9 +121,10 @@ def _integrated(
     # NaN would keep the step controller going for ever; zero stops it at the start
     y0 = cleared(y0, good & jnp.all(jnp.isfinite(y0)))
     y0 = cast(Array, moved_in_time(rates, y0, times[0], model, -1.0))
-    # likewise of tolerances and first step; what they give is not used
-    rtol, atol = (jnp.where(good, x, LOOSEST) for x in (rtol, atol))
-    dt0 = None if dt0 is None else jnp.where(good, dt0, 1.0)
+    # likewise of tolerances and first step; what they give is not used. Each by itself:
+    # a batch of starts must have no tolerances of its members' own, which lanes share
+    rtol, atol = (jnp.where(jnp.isfinite(x), x, LOOSEST) for x in (rtol, atol))
+    dt0 = None if dt0 is None else jnp.where(jnp.isfinite(dt0), dt0, 1.0)
     sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
