@@ -13,7 +13,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py tests/unit/test_sampling.py tests/unit/test_store.py
 
-.PHONY: demo test test-all test-releases test-browser lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo bench-live accuracy growth compiling stability docs clean
+.PHONY: demo test test-all test-releases test-browser test-gpu lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo bench-live bench-gpu accuracy growth compiling stability docs clean
 
 demo: $(VENV)/.installed
 	@mkdir -p out
@@ -33,6 +33,10 @@ test-releases: $(VENV)/.installed
 # where there is none: apt-get install chromium
 test-browser: $(VENV)/.installed
 	$(PYTEST) tests/browser
+
+# on the GPU at hand, with JAX for it (pip install "jax[cuda13]"); skipped where there is none
+test-gpu: $(VENV)/.installed
+	$(BIN)/python -m pytest tests/gpu
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -86,6 +90,9 @@ bench-monte-carlo: $(VENV)/.bench
 
 bench-live: $(VENV)/.bench
 	$(BIN)/python benchmarks/live.py --out benchmarks/results
+
+bench-gpu: $(VENV)/.bench
+	$(BIN)/python benchmarks/gpu.py --out benchmarks/results
 
 accuracy: $(VENV)/.bench
 	$(BIN)/python benchmarks/accuracy.py --out benchmarks/results

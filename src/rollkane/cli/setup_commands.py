@@ -3,7 +3,7 @@
 import importlib.metadata
 import importlib.util
 import json
-import platform
+import platform as machine
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,6 +19,7 @@ _EXTRAS = {
     "study": ("zarr", "scipy", "rich", "cloudpickle"),
     "cluster": ("distributed",),
     "inference": ("numpyro",),
+    "cuda": ("jax_cuda13_plugin",),
 }
 
 
@@ -86,15 +87,15 @@ def _found() -> dict[str, Any]:
         cache = f"none that can be trusted: {error}"
     devices = cast("list[Any]", jax.devices())
     device = devices[0]
-    if device.platform != "cpu":
-        loop = f"diffrax: numbers are on a {device.platform}"
+    if device.platform != "cpu" and loop.startswith("native"):
+        loop = _loop_on(device)
     extras = {
         name: "installed" if _has(modules) else f"pip install 'rollkane[{name}]'"
         for name, modules in _EXTRAS.items()
     }
     return {
         "rollkane": importlib.metadata.version("rollkane"),
-        "python": f"{platform.python_version()}, {platform.machine()}",
+        "python": f"{machine.python_version()}, {machine.machine()}",
         "package": {name: importlib.metadata.version(name) for name in _PACKAGES},
         "device": f"{device.platform}, {jax.device_count()} of them",
         "precision": "double (the command line sets it; in Python, jax_enable_x64)",
@@ -103,6 +104,19 @@ def _found() -> dict[str, Any]:
         "cache": cache,
         "extra": extras,
     }
+
+
+def _loop_on(device: Any) -> str:
+    """Which loop takes runs on a device that is no processor."""
+    from ..codegen import NoCompilerError, platform
+    from ..codegen.nvrtc import nvrtc_version
+
+    if platform() != "cuda":
+        return f"diffrax: numbers are on a {device.platform}"
+    try:
+        return f"native: one kernel on {device.device_kind}, by NVRTC {nvrtc_version()}"
+    except NoCompilerError as error:
+        return f"diffrax: {error}"
 
 
 def _has(modules: tuple[str, ...]) -> bool:

@@ -9,6 +9,7 @@ from .derivative_loops import CotangentLoop, Rates, TangentLoop, Way
 from .event_layout import Layout
 from .lane_loop import LaneLoop, Queue, Results, Stops
 from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
+from .platforms import platform
 from .right_hand_side import Looked, least_product, with_known_zeros, zeros_in, zeros_of
 from .run_loop import Course, RunLoop
 from .targets import check_usable, prepare_calls, programs_awaited
@@ -37,6 +38,7 @@ __all__ = [
     "in_one_program",
     "in_one_program_or_not",
     "least_product",
+    "platform",
     "prepare_calls",
     "programs_awaited",
     "with_known_zeros",

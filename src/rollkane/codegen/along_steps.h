@@ -1,11 +1,13 @@
-/* A motion's steps. Before this text: xla_call.h. */
+/* A motion's steps. Before this text: buffers.h. */
 
 typedef struct {
     const real *record; /* where steps begin, and the last one ends */
     long count;         /* of steps */
     real sense;         /* 1, or -1 where time runs backwards */
-    const real *outputs, *ends, *behind; /* ends of steps, begins of the next: jumps */
-    long output_count, jump_count;
+    const real *outputs;
+    long output_count;
+    const real *ends, *behind; /* ends of steps, begins of the next: jumps */
+    long jump_count;
 } Way;
 
 typedef struct {
@@ -24,7 +26,8 @@ static Step step_of(const Way *way, long i) {
         else high = middle;
     }
     const int jumps = low < way->jump_count && way->behind[low] == following;
-    return (Step){begin, jumps ? way->ends[low] : following, following};
+    const Step step = {begin, jumps ? way->ends[low] : following, following};
+    return step;
 }
 
 /* Of outputs at one time, the last; only it is shown. */
@@ -42,7 +45,7 @@ static int shows(const Way *way, Step step, long output) {
 
 /* Of a member of the batch, from XLA's buffers from the first of them on. */
 static Way way_of(const Call *call, int first, long b) {
-    return (Way){
+    const Way way = {
         .record = member(call, first, b),
         .count = (long)*member(call, first + 1, b),
         .sense = *member(call, first + 2, b),
@@ -52,4 +55,5 @@ static Way way_of(const Call *call, int first, long b) {
         .behind = member(call, first + 4, b) + size_of(&call->given[first + 4]) / 2,
         .jump_count = size_of(&call->given[first + 4]) / 2,
     };
+    return way;
 }

@@ -58,6 +58,22 @@ def loaded(key: str, make: Callable[[Path], None]) -> ctypes.CDLL:
     raise UnusableError(", and ".join(told)) from failures[-1]
 
 
+def read(key: str, make: Callable[[Path], None]) -> bytes:
+    """What a file of the cache folder holds, made where need be.
+
+    Args:
+        key: Of all that it comes from: letters and digits.
+        make: Writes it to a path; raises OSError where it cannot.
+
+    Raises:
+        UnusableError: the folder does not serve.
+    """
+    try:
+        return _entry(cache_folder(), key, make).read_bytes()
+    except OSError as error:
+        raise UnusableError(_in_words(error)) from error
+
+
 def _opened(path: Path) -> ctypes.CDLL:
     try:
         return ctypes.CDLL(str(path))

@@ -23,12 +23,17 @@ _LAYOUT = {
     "XLA_FFI_Args": ("XlaBuffers", {"size": "size", "args": "items"}),
     "XLA_FFI_Rets": ("XlaBuffers", {"size": "size", "rets": "items"}),
     "XLA_FFI_Error_Create_Args": ("ErrorAsked", {"message": "message", "errc": "code"}),
-    "XLA_FFI_Api": ("Api", {"XLA_FFI_Error_Create": "error_create"}),
+    "XLA_FFI_Stream_Get_Args": ("StreamAsked", {"ctx": "context", "stream": "stream"}),
+    "XLA_FFI_Api": (
+        "Api",
+        {"XLA_FFI_Error_Create": "error_create", "XLA_FFI_Stream_Get": "stream_get"},
+    ),
     "XLA_FFI_CallFrame": (
         "CallFrame",
         {
             "extension_start": "extension_start",
             "api": "api",
+            "ctx": "context",
             "args": "args",
             "rets": "rets",
         },
@@ -113,6 +118,6 @@ def callable_program(
     """
     major, minor = interface.version
     known = head | {"API_MAJOR": major, "API_MINOR": minor}
-    before = interface.header, "rows.h", "watch.h", "xla_call.h"
+    before = interface.header, "rows.h", "watch.h", "buffers.h", "xla_call.h"
     texts = *before, interface.same_layout, *parts
     return program_of(dtype, lanes, known, texts)

@@ -214,7 +214,9 @@ def _with_effort(
     def call(*arguments: Any) -> Any:
         nonlocal compiled
         while True:
-            known = {k: x for k, x in effort.items() if k not in _unknown}
+            # on a GPU they save little, and slow down what it runs
+            some = jax.default_backend() == "cpu"
+            known = {k: x for k, x in effort.items() if some and k not in _unknown}
             if compiled is None:
                 compiled = jit(compiler_options=known)
             try:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
 from .opened import opened
@@ -22,7 +23,7 @@ from .scalar_program import NotElementwiseError
 from .tableau import Weights
 
 _MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
-_ALONG = "along_steps.h", "threads.h"
+_BUFFERS = {"MOST_GIVEN": 10, "MOST_RESULTS": 2}  # arguments and results of a loop
 
 
 class Way(NamedTuple):
@@ -77,18 +78,28 @@ class TangentLoop:
         made = tangents_source(rates.function, state, rates.varied)
         # one, two, four or eight
         count = changes.shape[-1]
-        self._lanes = min(_MOST_LANES, 1 << (count - 1).bit_length())
+        lanes = self._lanes = min(_MOST_LANES, 1 << (count - 1).bit_length())
         self._varied, self._closed = rates.varied, made.closed
-        head = _sizes(rates, state) | {"ROWS": made.functions.rows}
-        head["NUMBERS"] = made.functions.numbers
+        head = _sizes(rates, state) | {
+            "ROWS": made.functions.rows,
+            "NUMBERS": made.functions.numbers,
+        }
         texts = made.functions.text, push_source(rates.weights)
-        parts = (
-            "along_steps.h",
-            "threads.h",
-            *of_bearable_length(texts),
-            "tangent_loop.c",
-        )
-        self._call = XlaCall(state.dtype, self._lanes, head, parts)
+        loop = "along_steps.h", *of_bearable_length(texts), "tangent_loop.c"
+
+        def kernel() -> Kernel:
+            return Kernel(
+                dtype=np.dtype(state.dtype),
+                head=(*head.items(), *_BUFFERS.items(), ("SPREAD", lanes)),
+                parts=(*loop, "device_tangents.c"),
+                axes=(1, 3, 1, 3, 1, 0, 0, 1, 2),
+                results=2,
+                result_axes=4,
+                spread=(3, state.shape[0]),
+            )
+
+        parts = "threads.h", *loop, "tangent_call.c"
+        self._call = XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
 
     def __call__(
         self, way: Way, y: Array, y_dot: Array, tangents: list[Array]
@@ -147,28 +158,44 @@ class CotangentLoop:
         self._rates, self._between = rates, between
         self._state = jax.ShapeDtypeStruct(state.shape, state.dtype)
         self._function, self._known = opened(rates.function, self._state, rates.varied)
-        self._call = self._compiled(None)
+        self._call = self._compiled([False] * (len(rates.varied) + len(self._known)), 1)
 
-    def _compiled(self, own: list[bool] | None) -> XlaCall:
+    def _compiled(self, own: list[bool], lanes: int) -> XlaCall:
         """The loop of one motion, or of lanes where these leaves are their own."""
         rates, state = self._rates, self._state
         like = rates.varied, self._known
         made = cotangents_source(self._function, state, *like, own)
         assert made.back is not None
-        head = _sizes(rates, state) | {"BETWEEN": self._between}
-        head["NUMBERS"], head["ROWS"] = made.functions.numbers, made.functions.rows
-        head["BACK_NUMBERS"], head["BACK_ROWS"] = made.back.numbers, made.back.rows
-        lanes, loop = 1, "cotangent_loop.c"
-        if own is not None:
-            lanes, loop = 64 // np.dtype(state.dtype).itemsize, "cotangent_lanes.c"
-            pairs = zip([*rates.varied, *self._known], own, strict=True)
-            head["OWN"] = sum(x.size for x, differs in pairs if differs)
-            head |= {"MOST_GIVEN": 10, "MOST_RESULTS": 2}
-        steps = pull_source(rates.weights, own is not None)
-        texts = made.functions.text, made.back.text, steps
-        return XlaCall(
-            state.dtype, lanes, head, (*_ALONG, *of_bearable_length(texts), loop)
-        )
+        pairs = zip([*rates.varied, *self._known], own, strict=True)
+        head = _sizes(rates, state) | {
+            "BETWEEN": self._between,
+            "NUMBERS": made.functions.numbers,
+            "ROWS": made.functions.rows,
+            "BACK_NUMBERS": made.back.numbers,
+            "BACK_ROWS": made.back.rows,
+            "OWN": sum(x.size for x, differs in pairs if differs),
+            **_BUFFERS,
+        }
+        texts = made.functions.text, made.back.text, pull_source(rates.weights)
+        steps = "along_steps.h", *of_bearable_length(texts)
+        alone = "cotangent_loop.c", "cotangent_call.c"
+        loop = alone if lanes == 1 else ("cotangent_lanes.c",)
+        by_own = lanes != 1
+
+        def kernel() -> Kernel:
+            axes = 2, 2, 1, 1, 0, 0, 1, 2  # of what is told of each motion
+            return Kernel(
+                dtype=np.dtype(state.dtype),
+                head=(*head.items(), ("BY_OWN", int(by_own))),
+                parts=(*steps, "cotangent_loop.c", "device_cotangents.c"),
+                axes=(1, 1, *axes) if by_own else (1, *axes),
+                results=2,
+                result_axes=1,
+                spread=(4 if by_own else 3, state.shape[0]),
+            )
+
+        parts = "threads.h", *steps, *loop
+        return XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
 
     def __call__(
         self, way: Way, kept: Array, cotangents: Array, last_cotangent: Array
@@ -192,7 +219,7 @@ class CotangentLoop:
         ) -> tuple[list[Array], list[bool]]:
             differ, others = batched
             try:
-                loop = self._compiled(list(differ))
+                loop = self._compiled(list(differ), _lanes_of(self._state))
             except NotElementwiseError:
                 axis: Callable[[bool], int | None] = lambda x: 0 if x else None
                 axes = jax.tree.map(axis, (list(differ), tuple(others)))
@@ -230,6 +257,11 @@ class CotangentLoop:
         """Of one motion; in a batch one after the other on every processor."""
         shared = in_one(leaves, self._state.dtype)
         return self._call(self._shapes, shared, *along)
+
+
+def _lanes_of(state: Shaped) -> int:
+    """How many numbers a vector of 64 bytes holds."""
+    return 64 // np.dtype(state.dtype).itemsize
 
 
 def _sizes(rates: Rates, state: Shaped) -> dict[str, int]:

@@ -102,8 +102,10 @@ static real judged(Search *s, int *active, real *side, const real *begin, real t
     /* a closed bracket's end behind the zero is tried again, once: it may be rounded */
     const int shut = s->high - s->low <= tiny && (hits || (!begins && apart_before <= tiny));
     const int done = shut || (hits ? all : one && !(s->high - s->low <= tiny));
-    memmove(s->length + 1, s->length, sizeof s->length - sizeof *s->length);
-    memmove(s->seen + 1, s->seen, sizeof s->seen - sizeof *s->seen);
+    for (int j = EVENT_TRIES - 1; j > 0; j--) {
+        s->length[j] = s->length[j - 1];
+        memcpy(s->seen[j], s->seen[j - 1], sizeof s->seen[j]);
+    }
     memcpy(s->seen[0], values, sizeof s->seen[0]);
     s->length[0] = x, s->tries++;
     *active = !done;

@@ -1,6 +1,6 @@
-/* Many motions in one loop over lanes. Before this text: lane_math.h, and generated N (numbers
- * of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS (that
- * prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
+/* Many motions in one loop over lanes. Before this text: lane_math.h, watch.h, and generated N
+ * (numbers of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS
+ * (that prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
  * plane vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
  * prepare_watch and rates_watch.
  *
@@ -9,6 +9,8 @@
  * diffrax's explicit Runge-Kutta methods under its default controller. Time runs forwards
  * in the loop. With RECORD, of one lane, states are kept every BETWEEN steps. With EVENTS
  * steps end on them (event_search.c), and lanes may stop there.
+ *
+ * On a GPU (ON_DEVICE) a thread has one lane, and all take from one queue.
  */
 enum { COMPLETED = 0, MAX_STEPS_REACHED, STEP_TOO_SMALL, BAD_START,
        STOPPED = 12, EVENT_NOT_FINITE }; /* Code */
@@ -27,21 +29,40 @@ typedef struct {
     const int64_t *slots;    /* [stops] */
     real time, rtol, dtmin, dtmax, sense; /* 1, or -1 where time runs backwards */
     int64_t max_steps;
+#if ON_DEVICE
+    Taken *taken;            /* how many of them are */
+    const int32_t *order;    /* in which they are; NULL: their own */
+#endif
 } Queue;
+
+/* final time, code, steps, rejected steps; of events, how often, and which ended the run */
+enum { TOLD = 4 + (EVENTS ? EVENTS + 1 : 0) };
 
 typedef struct {
     real *y;                 /* [count][outputs][N] */
-    int32_t *code;           /* [count] */
-    real *final_time, *final_y;
-    int64_t *steps, *rejected;
+    real *final_y;           /* [count][N] */
+    real *told;              /* [count][TOLD] */
+#if EVENTS
+    real *moments;           /* [count][EVENT_CAPACITY][1 + N]: when, and states there */
+#endif
 #if RECORD
     real *record, *kept;     /* where steps began, the last one ended; [..][N] */
 #endif
-#if EVENTS
-    real *moments;           /* [count][EVENT_CAPACITY][1 + N]: when, and states there */
-    int64_t *numbers;        /* [count][EVENTS + 1]: how often, and which ended the run */
-#endif
 } Results;
+
+/* What is computed once for all motions that share their numbers. */
+typedef struct {
+    real u[NUMBERS + 1];
+    row v[ROWS + 1];
+#if WATCHED
+    real watch_u[WATCH_NUMBERS + 1];
+    row watch_v[WATCH_ROWS + 1];
+#endif
+#if EVENTS
+    real event_u[EVENT_NUMBERS + 1];
+    row event_v[EVENT_ROWS + 1];
+#endif
+} Prepared;
 
 typedef struct {
     row t, t_end, wanted, goal, y[N], k[N], atol[N], own[OWN ? OWN : 1];
@@ -66,8 +87,9 @@ INLINE row towards(int only, row goal, row t, row dt) {
 
 #if WATCHED
 /* Where a step reverses none of the vectors, nor comes too near to their zeros to tell. */
-INLINE mask unbroken(const Queue *q, const Lanes *a, const row *y, const real *u,
-                     const row *v) {
+INLINE mask unbroken(const Queue *q, const Prepared *p, const Lanes *a, const row *y) {
+    const real *u = p->watch_u;
+    const row *v = p->watch_v;
     row before[2 * WATCHED], after[2 * WATCHED];
     mask stands = mask_of(1);
     const real nearest = C(fmin)(NEAREST * q->rtol, (real)1 / CLOSEST);
@@ -152,13 +174,72 @@ INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
 #endif
 }
 
-/* Write what a lane has reached; 1 where its rates have to be computed afresh. */
+/* Places that nothing may be written to. */
+static void clear(const Queue *q, const Results *out, long i) {
+    for (long c = 0; c < q->outputs * N; c++) out->y[i * q->outputs * N + c] = (real)NAN;
+#if EVENTS
+    const long room = EVENT_CAPACITY * (1 + N);
+    for (long c = 0; c < room; c++) out->moments[i * room + c] = (real)NAN;
+#endif
+}
+
+/* Write how a lane's motion ended. */
+static void tell(const Queue *q, const Results *out, Lanes *a, int l) {
+    const long i = a->motion[l];
+    const int64_t tried = a->steps[l] + a->rejected[l];
+    real *told = out->told + i * TOLD;
+    int code = !LANE(a->failed, l)     ? COMPLETED
+               : tried >= q->max_steps || told_to_end() ? MAX_STEPS_REACHED
+               : a->steps[l] == 0      ? BAD_START
+                                       : STEP_TOO_SMALL;
+#if EVENTS
+    if (code == COMPLETED && LANE(a->stopped, l)) code = STOPPED;
+    if (code >= STEP_TOO_SMALL && code != STOPPED && a->search[l].by >= 0)
+        code = EVENT_NOT_FINITE;
+    for (int e = 0; e < EVENTS; e++) told[4 + e] = (real)a->search[l].number[e];
+    told[4 + EVENTS] = (real)a->search[l].by;
+    LANE(a->stopped, l) = LANE(a->active, l) = 0;
+#endif
+    told[0] = q->sense * LANE(a->t, l), told[1] = (real)code;
+    told[2] = (real)a->steps[l], told[3] = (real)a->rejected[l];
+    for (int c = 0; c < N; c++) out->final_y[i * N + c] = LANE(a->y[c], l);
+}
+
+/* Take the next motion into a lane; 0 where there is none. */
+static int take(const Queue *q, const Results *out, Lanes *a, int l, long *ahead) {
+#if ON_DEVICE
+    *ahead = next_of(q->taken);
+    const long next = *ahead < q->count ? (q->order ? q->order[*ahead] : *ahead) : -1;
+#else
+    const long next = *ahead < q->count ? (*ahead)++ : -1;
+#endif
+    LANE(a->failed, l) = 0, a->steps[l] = a->rejected[l] = 0, a->stop[l] = 0;
+    a->motion[l] = next;
+    if (next < 0) return 0;
+    const real first = q->first_steps[next];
+    LANE(a->t, l) = q->time;
+    LANE(a->wanted, l) = first < q->dtmax ? first : q->dtmax;
+    for (int c = 0; c < N; c++) {
+        LANE(a->y[c], l) = q->starts[next * N + c];
+        LANE(a->atol[c], l) = q->atol[next * N + c];
+    }
+    for (int c = 0; c < OWN; c++) LANE(a->own[c], l) = q->own[next * OWN + c];
+    clear(q, out, next);
+    note(q, out, a);
+#if EVENTS
+    a->search[l] = no_search(q->time);
+    LANE(a->begun, l) = YES;
+#endif
+    return 1;
+}
+
+/* Write what a lane has reached, and take the next motion where that is its end; 1 where
+ * its rates have to be computed afresh. */
 static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahead) {
     const long i = a->motion[l];
     int fresh = 0, ended = i < 0 || LANE(a->failed, l);
 #if EVENTS
-    const int stopped = i >= 0 && LANE(a->stopped, l);
-    ended |= stopped;
+    ended |= i >= 0 && LANE(a->stopped, l);
 #endif
     if (i >= 0 && LANE(a->t, l) >= q->ends[a->stop[l]]) {
         const long stop = a->stop[l], slot = q->slots[stop];
@@ -173,72 +254,37 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
             note(q, out, a);
         }
     }
-    if (ended && i >= 0) {
-        const int64_t tried = a->steps[l] + a->rejected[l];
-        out->code[i] = !LANE(a->failed, l)     ? COMPLETED
-                       : tried >= q->max_steps || told_to_end() ? MAX_STEPS_REACHED
-                       : a->steps[l] == 0      ? BAD_START
-                                               : STEP_TOO_SMALL;
-#if EVENTS
-        if (out->code[i] == COMPLETED && stopped) out->code[i] = STOPPED;
-        if (out->code[i] >= STEP_TOO_SMALL && out->code[i] != STOPPED &&
-            a->search[l].by >= 0)
-            out->code[i] = EVENT_NOT_FINITE;
-        for (int e = 0; e < EVENTS; e++)
-            out->numbers[i * (EVENTS + 1) + e] = a->search[l].number[e];
-        out->numbers[i * (EVENTS + 1) + EVENTS] = a->search[l].by;
-        LANE(a->stopped, l) = LANE(a->active, l) = 0;
-#endif
-        out->final_time[i] = LANE(a->t, l);
-        for (int c = 0; c < N; c++) out->final_y[i * N + c] = LANE(a->y[c], l);
-        out->steps[i] = a->steps[l], out->rejected[i] = a->rejected[l];
-    }
     if (ended) {
-        LANE(a->failed, l) = 0, a->steps[l] = a->rejected[l] = 0, a->stop[l] = 0;
-        a->motion[l] = *ahead < q->count ? (*ahead)++ : -1;
-        const long next = a->motion[l];
-        if (next < 0) return 0;
-        const real first = q->first_steps[next];
-        LANE(a->t, l) = q->time;
-        LANE(a->wanted, l) = first < q->dtmax ? first : q->dtmax;
-        for (int c = 0; c < N; c++) {
-            LANE(a->y[c], l) = q->starts[next * N + c];
-            LANE(a->atol[c], l) = q->atol[next * N + c];
-        }
-        for (int c = 0; c < OWN; c++) LANE(a->own[c], l) = q->own[next * OWN + c];
-        note(q, out, a);
+        if (i >= 0) tell(q, out, a, l);
+        if (!take(q, out, a, l, ahead)) return 0;
         fresh = 1;
-#if EVENTS
-        a->search[l] = no_search(q->time);
-        LANE(a->begun, l) = YES;
-#endif
     }
     LANE(a->running, l) = YES;
     LANE(a->goal, l) = q->ends[a->stop[l]];
     return fresh;
 }
 
+static void prepare_all(const real *shared, Prepared *p) {
+    prepare(shared, NULL, p->u, p->v);
+#if WATCHED
+    prepare_watch(shared, NULL, p->watch_u, p->watch_v);
+#endif
+#if EVENTS
+    prepare_events(shared, NULL, p->event_u, p->event_v);
+#endif
+}
+
 /* Integrate a queue of motions to its end; returns the steps of the whole row. */
-int64_t integrate(const Queue *q, const Results *out) {
+static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) {
     Lanes a;
-    real u[NUMBERS + 1];
-    row v[ROWS + 1];
     row k[STAGES][N], y[N], error[N], first[N];
+#if EVENTS
+    row seen[EVENTS];
+#endif
     long ahead = 0;
     int64_t turns = 0;
     memset(&a, 0, sizeof a);
     for (int l = 0; l < LANES; l++) a.motion[l] = -1;
-    prepare(q->shared, NULL, u, v);
-#if WATCHED
-    real watch_u[WATCH_NUMBERS + 1];
-    row watch_v[WATCH_ROWS + 1];
-    prepare_watch(q->shared, NULL, watch_u, watch_v);
-#endif
-#if EVENTS
-    real event_u[EVENT_NUMBERS + 1];
-    row event_v[EVENT_ROWS + 1], seen[EVENTS];
-    prepare_events(q->shared, NULL, event_u, event_v);
-#endif
     const int only = q->stops == 1 && !EVENTS;
     for (;;) {
         mask fresh = mask_of(0), moved = mask_of(0);
@@ -251,15 +297,15 @@ int64_t integrate(const Queue *q, const Results *out) {
         a.t_end = choose_row(moved, towards(only, a.goal, a.t, a.wanted), a.t_end);
         if (any(fresh)) {
 #if EVENTS
-            rates_events(q->sense * a.t, a.y, a.own, q->shared, NULL, event_u, event_v, first,
-                         seen);
+            rates_events(q->sense * a.t, a.y, a.own, q->shared, NULL, p->event_u, p->event_v,
+                         first, seen);
             for (int e = 0; e < EVENTS; e++) {
                 a.value[e] = choose_row(a.begun, seen[e], a.value[e]);
                 a.side[e] = choose_row(a.begun, sign_row(seen[e]), a.side[e]);
             }
             a.begun = mask_of(0);
 #else
-            rates(q->sense * a.t, a.y, a.own, q->shared, NULL, u, v, first);
+            rates(q->sense * a.t, a.y, a.own, q->shared, NULL, p->u, p->v, first);
 #endif
             for (int c = 0; c < N; c++) a.k[c] = choose_row(fresh, first[c], a.k[c]);
         }
@@ -268,11 +314,11 @@ int64_t integrate(const Queue *q, const Results *out) {
             const row h = a.t_end - a.t, way = h * q->sense;
             memcpy(k[0], a.k, sizeof a.k);
 #if EVENTS
-            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, u, v, k,
-                    y, error, event_u, event_v, seen);
+            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, p->u,
+                    p->v, k, y, error, p->event_u, p->event_v, seen);
 #else
-            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, u, v, k,
-                    y, error);
+            attempt(a.t * q->sense, a.t_end * q->sense, way, a.y, q->shared, a.own, p->u,
+                    p->v, k, y, error);
 #endif
             row size = splat(0);
             for (int c = 0; c < N; c++) {
@@ -280,10 +326,11 @@ int64_t integrate(const Queue *q, const Results *out) {
                 const row e = error[c] / (a.atol[c] + most * q->rtol);
                 size += e * e;
             }
-            size = sqrt_row(size / (real)N);
+            /* what is below the numbers' own rounding is noise, another on every machine */
+            size = max_row(sqrt_row(size / (real)N) - EPSILON / q->rtol, splat(0));
             size = choose_row(size < (real)1e12, size, splat((real)1e12)); /* NaN too */
 #if WATCHED
-            size = choose_row(unbroken(q, &a, y, watch_u, watch_v), size, splat((real)1e12));
+            size = choose_row(unbroken(q, p, &a, y), size, splat((real)1e12));
 #endif
 #if EVENTS
             const mask known = events_known(&a, seen);
@@ -319,8 +366,7 @@ int64_t integrate(const Queue *q, const Results *out) {
             const int heard = turns % 64 == 0; /* microseconds apart, and for nothing */
             const int over = heard && told_to_end();
 #if ONE_LANE
-            if (heard && rollkane_watch && rollkane_watch->looks)
-                rollkane_watch->time = (double)(q->sense * a.t);
+            if (heard) tell_time((double)(q->sense * a.t));
 #endif
             for (int l = 0; l < LANES; l++) {
                 a.steps[l] += LANE(go, l) != 0, a.rejected[l] += LANE(refused, l) != 0;
@@ -350,6 +396,13 @@ int64_t integrate(const Queue *q, const Results *out) {
             paused = a.running & (landed | a.failed);
             a.running &= not_row(paused);
             turns++;
-        } while (!any(paused));
+            /* a thread that pauses must not wait for the others of its warp */
+        } while (!ON_DEVICE && !any(paused));
     }
+}
+
+int64_t integrate(const Queue *q, const Results *out) {
+    Prepared p;
+    prepare_all(q->shared, &p);
+    return run_lanes(q, &p, out);
 }

@@ -68,7 +68,7 @@ class Results(NamedTuple):
     Attributes:
         y: At the outputs, shape (M, T, n); NaN where not reached.
         code: One of :class:`rollkane.Code`, shape (M,).
-        final_time: [s], shape (M,).
+        final_time: [s], backwards in time too, shape (M,).
         final_y: Shape (M, n).
         steps: Accepted, shape (M,).
         rejected_steps: Shape (M,).
@@ -165,26 +165,36 @@ class LaneLoop:
         Without stops there is no time to go to, and every motion ends where it begins.
         """
         count, n = queue.starts.shape
-        results = Results(
-            y=np.full((count, stops.outputs, n), np.nan, self.dtype),
-            code=np.zeros(count, np.int32),
-            final_time=np.full(count, np.nan, self.dtype),
-            final_y=np.full((count, n), np.nan, self.dtype),
-            steps=np.zeros(count, np.int64),
-            rejected_steps=np.zeros(count, np.int64),
-            turns=0,
+        layout = self._events
+        size = 4 if layout is None else 5 + len(layout.ways)
+
+        def empty(*shape: int) -> np.ndarray:
+            return np.full((count, *shape), np.nan, self.dtype)
+
+        y, final_y, told = empty(stops.outputs, n), empty(n), empty(size)
+        moments = None if layout is None else empty(layout.capacity, 1 + n)
+        turns = 0
+        if len(stops.ends):
+            filled = [x for x in (y, final_y, told, moments) if x is not None]
+            turns = self._filled(queue, stops, filled)
+        else:
+            final_y[:], told[:, 0] = queue.starts, queue.sense * queue.time
+            told[:, 1:4], told[:, 4:-1], told[:, 4:][:, -1:] = 0, 0, -1
+        whole = told[:, 1:].astype(np.int64)
+        return Results(
+            y=y,
+            code=whole[:, 0].astype(np.int32),
+            final_time=told[:, 0],
+            final_y=final_y,
+            steps=whole[:, 1],
+            rejected_steps=whole[:, 2],
+            turns=turns,
+            moments=moments,
+            numbers=None if layout is None else whole[:, 3:],
         )
-        if self._events is not None:
-            kept, size = self._events.capacity, len(self._events.ways) + 1
-            results = results._replace(
-                moments=np.full((count, kept, 1 + n), np.nan, self.dtype),
-                numbers=np.tile([0] * (size - 1) + [-1], (count, 1)),
-            )
-        if not len(stops.ends):
-            return results._replace(
-                final_y=np.array(queue.starts, self.dtype),
-                final_time=np.full(count, queue.time, self.dtype),
-            )
+
+    def _filled(self, queue: Queue, stops: Stops, results: list[np.ndarray]) -> int:
+        """Fill what ``Results`` of lane_loop.c has; the steps of the whole row."""
         reals = [
             np.ascontiguousarray(x, self.dtype)
             for x in (
@@ -194,16 +204,14 @@ class LaneLoop:
         ]
         slots = np.ascontiguousarray(stops.slots, np.int64)
         asked = _queue_type(self._real)(
-            *(count, stops.outputs, len(slots)),
+            *(len(queue.starts), stops.outputs, len(slots)),
             *(x.ctypes.data for x in (*reals, slots)),
             *(queue.time, queue.rtol, queue.dtmin, math.inf, queue.sense),
             queue.max_steps,
         )
-        arrays = [*results[:6], results.moments, results.numbers]
-        filled = [x.ctypes.data for x in arrays if x is not None]
-        outputs = (ctypes.c_void_p * len(filled))(*filled)
-        turns = self._library.integrate(ctypes.byref(asked), ctypes.byref(outputs))
-        return results._replace(turns=turns)
+        places = [x.ctypes.data for x in results]
+        outputs = (ctypes.c_void_p * len(places))(*places)
+        return self._library.integrate(ctypes.byref(asked), ctypes.byref(outputs))
 
 
 @functools.cache

@@ -58,7 +58,7 @@ INLINE row P(size_of_error)(const P(Lanes) *a, const row *y, const row *error) {
         const row e = error[c] / (least + most * a->rtol);
         size += e * e;
     }
-    return sqrt_row(size / (real)N);
+    return max_row(sqrt_row(size / (real)N) - EPSILON / a->rtol, splat(0));
 }
 
 /* Plain steps of all members that wait in this mode, and of those that come to. */

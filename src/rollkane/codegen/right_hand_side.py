@@ -315,9 +315,9 @@ def cotangents_source(
     state: Shaped,
     varied: Sequence[Shaped],
     known: Sequence[Shaped],
-    own: list[bool] | None = None,
+    own: list[bool],
 ) -> Source:
-    """A right-hand side, and what a cotangent of its rates becomes.
+    """A right-hand side of a row of motions, and what a cotangent of its rates becomes.
 
     That of the state, and what it adds to those of what is varied.
 
@@ -327,13 +327,12 @@ def cotangents_source(
         state: Shape and type of y.
         varied: What has cotangents, apart from y: arrays, or shapes and types.
         known: What has none.
-        own: For a row of motions, which of both differ from motion to motion; None:
-            for one.
+        own: Which of both differ from motion to motion of a row.
 
     Raises:
         NotElementwiseError: more than arithmetic on single numbers.
     """
-    count, row = len(varied), own is not None
+    count = len(varied)
 
     def back_through(t: Array, y: Array, leaves: list[Array], bar: Array) -> Any:
         def along(y: Array, *varied: Array) -> Array:
@@ -347,22 +346,17 @@ def cotangents_source(
     listed = lambda t, y, leaves: rates(t, y, *leaves)
     there = Program(listed, time, state, like)
     back = Program(back_through, time, state, like, state)
-    kind, more = "real", ""
-    if own is None:
-        given, _ = _given(state, like)
-    else:
-        kind, more = "row", ", const row *restrict own"
-        given, _ = _Lanes(state, like, own, [b""] * len(like)).symbols()
+    given, _ = _Lanes(state, like, own, [b""] * len(like)).symbols()
     statements = Statements()
     found = there(given, statements.operate)
-    stage = f"{kind} t, const {kind} *restrict y{more}"
-    functions = as_functions(statements, stage, [Result("d", found[0], row=row)])
+    stage = "row t, const row *restrict y, const row *restrict own"
+    functions = as_functions(statements, stage, [Result("d", found[0], row=True)])
     statements = Statements()
-    cotangent = array("cotangent", state.shape, row=row)
+    cotangent = array("cotangent", state.shape, row=True)
     found = back([*given, cotangent], statements.operate)
     numbers = as_objects([x for part in found[1:] for x in part.reshape(-1)], (-1,))
-    results = [Result("g", found[0], row=row), Result("m", numbers, row, adds=True)]
-    stage = f"{stage}, const {kind} *restrict cotangent"
+    results = [Result("g", found[0], row=True), Result("m", numbers, True, adds=True)]
+    stage = f"{stage}, const row *restrict cotangent"
     changes = as_functions(statements, stage, results, "_back")
     return Source(functions, [], changes)
 

@@ -7,6 +7,10 @@
 #include <string.h>
 
 enum { LANES = BYTES / sizeof(real) };
+#ifndef ON_DEVICE /* the text of a GPU says it before */
+#define ON_DEVICE 0
+#define LOCAL static _Thread_local /* arrays that are too large for a thread's stack */
+#endif
 #define INLINE static inline __attribute__((always_inline, unused))
 
 #if ONE_LANE /* a vector of one number goes through registers that cannot compute */
@@ -140,7 +144,7 @@ INLINE whole_row splat_whole(int64_t a) {
 }
 /* like XLA's: of what is not a number zero, of what is too large the largest */
 INLINE int64_t whole_of_one(real x, int bits, int has_sign) {
-    const real above = C(ldexp)(1, bits - has_sign), least = has_sign ? -above : 0;
+    const real above = C(ldexp)((real)1, bits - has_sign), least = has_sign ? -above : 0;
     const int64_t most = INT64_MAX >> (64 - bits - !has_sign);
     if (x != x) return 0;
     return x >= above ? most : x <= least ? (has_sign ? -most - 1 : 0) : (int64_t)x;

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
 from .opened import opened
@@ -75,6 +76,8 @@ class Ended(NamedTuple):
     happened: tuple[Array, Array, Array] | None = None
 
 
+# of a loop's arguments: first states, first steps, and ends of steps
+_STARTS, _FIRST_STEPS, _ENDS = 2, 4, 6
 # a first state, its absolute tolerances and a first step
 _Start = tuple[Array, Array, Array]
 
@@ -149,13 +152,31 @@ class RunLoop:
             "ORDER": weights.order,
             "RECORD": int(record > 0),
             "BETWEEN": record,
+            "MOST_GIVEN": 9,
+            "MOST_RESULTS": 7,
             **made.head,
         }
-        if self._events is not None:
-            head |= {"MOST_GIVEN": 9, "MOST_RESULTS": 6}
-        loop = *made.loop, "queue.h", "threads.h", caller
-        parts = *of_bearable_length((made.text, attempt_source(weights))), *loop
-        return XlaCall(state.dtype, lanes, head, parts)
+        known = made.text, attempt_source(weights)
+        loop = *of_bearable_length(known), *made.loop, "queue.h"
+        alone = lanes == 1
+
+        def kernel() -> Kernel:
+            results = 3 + (self._events is not None) + 2 * head["RECORD"]
+            return Kernel(
+                dtype=np.dtype(state.dtype),
+                head=tuple((head | {"ALONE": int(alone), "MOST_GIVEN": 10}).items()),
+                parts=(*loop, "device_runs.c"),
+                axes=(1,) * 9 if alone else (1, 2, 2, 2, 1, 1, 1, 1, 1),
+                results=results,
+                result_axes=2 if alone else 3,
+                spread=(_STARTS, state.shape[0]),
+                stops=_ENDS,
+                by_members=not alone,
+                shortest=None if alone else _FIRST_STEPS,
+            )
+
+        parts = "threads.h", *loop, caller
+        return XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
         """Integrate a start, with this many steps at most, rejected ones too."""

@@ -121,29 +121,25 @@ def push_source(weights: Weights) -> str:
     return "\n".join(lines)
 
 
-def pull_source(weights: Weights, lanes: bool = False) -> str:
-    """A step and its way back in C, ``advance`` and ``retreat``; or those of lanes.
+def pull_source(weights: Weights) -> str:
+    """A step of a row of motions and its way back in C, ``advance`` and ``retreat``.
 
     With rates ``k_m = f(y + h sum_j a_mj k_j)`` and the end ``y + h sum_m b_m k_m``,
     the cotangent of a rate is ``h (b_m back + sum_j a_jm g_j)``, where ``g_j`` is that
     of the stage j behind it; that of y is the sum of all ``g`` and ``back``.
     """
-    kind = "row" if lanes else "real"
-    given = "const real *restrict shared, const real *restrict u"
-    known, back = "shared, NULL, u, NULL", "a, shared, NULL, u, NULL"
-    if lanes:
-        given = f"const row *restrict own, {given}, const row *restrict v"
-        known, back = "own, shared, NULL, u, v", "own, a, shared, NULL, u, v"
+    given = "const row *restrict own, const real *restrict shared"
+    given += ", const real *restrict u, const row *restrict v"
     lines = [
-        f"static void advance({kind} t, {kind} t_end, {kind} h, {kind} *restrict y,",
-        f"                    {given}, {kind} k[STAGES][N]) {{",
-        f"{kind} z[N];",
-        *_advanced(weights, [""], known),
+        "static void advance(row t, row t_end, row h, row *restrict y,",
+        f"                    {given}, row k[STAGES][N]) {{",
+        "row z[N];",
+        *_advanced(weights, [""], "own, shared, NULL, u, v"),
         "}",
-        f"static void retreat({kind} t, {kind} t_end, {kind} h,",
-        f"                    const {kind} *restrict y, const {kind} k[STAGES][N],",
-        f"                    {given}, {kind} *restrict back, {kind} *restrict m) {{",
-        f"{kind} g[STAGES][N], z[N], a[N];",
+        "static void retreat(row t, row t_end, row h,",
+        "                    const row *restrict y, const row k[STAGES][N],",
+        f"                    {given}, row *restrict back, row *restrict m) {{",
+        "row g[STAGES][N], z[N], a[N];",
     ]
     stages = _stages(weights)
     last = stages[-1][0]
@@ -155,7 +151,7 @@ def pull_source(weights: Weights, lanes: bool = False) -> str:
         lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
         place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
         lines.append(f"{_EACH} z[c] = {place};")
-        lines.append(f"rates_back({time}, z, {back}, g[{i}], m);")
+        lines.append(f"rates_back({time}, z, own, a, shared, NULL, u, v, g[{i}], m);")
     total = " + ".join(f"g[{i}][c]" for i in range(len(places)))
     return "\n".join([*lines, f"{_EACH} back[c] += {total};", "}"])
 
@@ -183,7 +179,7 @@ def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
 
 def _weighted(rates: str, weights: tuple[float, ...]) -> str:
     terms = [f"{rates}[{i}][c] * {_weight(w)}" for i, w in enumerate(weights) if w]
-    return " + ".join(terms)
+    return " + ".join(terms) or "(real)0"
 
 
 def _weight(value: float) -> str:

@@ -1,15 +1,36 @@
-/* Changes of a motion's states along its steps, called from XLA. Before this text:
- * along_steps.h, threads.h, and generated VARIED (numbers that change, apart from the
+/* Changes of a motion's states along its steps. Before this text: along_steps.h, and
+ * generated VARIED (numbers that change, apart from the
  * state), NUMBERS and ROWS (that prepare leaves for rates), and prepare, rates, advance.
  *
  * A row holds one number for each of LANES changes; where there are more, the motion is
  * gone through again for the next, by another processor as each member of a batch.
  */
+#if !ON_DEVICE
+enum { SPREAD = LANES };
+#endif
 
 enum { SHARED_AT, TANGENTS_AT, Y_AT, DY_AT, WAY_AT };
 
+/* Rows of XLA's buffers, which need not begin where rows may; on a GPU, of whose threads
+ * each has one of SPREAD changes, the numbers of that. */
+static void load_rows(row *x, const real *from, long count) {
+#if ON_DEVICE
+    for (long i = 0; i < count; i++) x[i] = from[i * SPREAD];
+#else
+    memcpy(x, from, count * sizeof *x);
+#endif
+}
+
+static void store_rows(real *to, const row *x, long count) {
+#if ON_DEVICE
+    for (long i = 0; i < count; i++) to[i * SPREAD] = x[i];
+#else
+    memcpy(to, x, count * sizeof *x);
+#endif
+}
+
 static void show(real *shown, long output, const row *dy) {
-    memcpy(shown + output * N * LANES, dy, N * sizeof(row));
+    store_rows(shown + output * N * SPREAD, dy, N);
 }
 
 static void push(const Way *way, const real *shared, const row *tangents, real *y, row *dy,
@@ -39,26 +60,15 @@ static long groups_of(const Call *call) {
     return changes->dims[changes->leads];
 }
 
-static void push_group(void *job, long part) {
-    const Call *call = job;
-    const long b = part / groups_of(call), g = part % groups_of(call);
+/* A member's row of changes; of it those from lane on. */
+static void push_row(const Call *call, long b, long g, long lane) {
     const Way way = way_of(call, WAY_AT, b);
-    /* XLA's buffers need not begin where rows may */
     row tangents[VARIED + 1], dy[N];
-    real y[N];
-    memcpy(tangents, member(call, TANGENTS_AT, b) + g * VARIED * LANES,
-           VARIED * sizeof(row));
-    memcpy(dy, member(call, DY_AT, b) + g * N * LANES, sizeof dy);
+    real y[N], *last = wanted(call, 1, b) + g * N * SPREAD + lane;
+    load_rows(tangents, member(call, TANGENTS_AT, b) + g * VARIED * SPREAD + lane, VARIED);
+    load_rows(dy, member(call, DY_AT, b) + g * N * SPREAD + lane, N);
     memcpy(y, member(call, Y_AT, b), sizeof y);
     push(&way, member(call, SHARED_AT, b), tangents, y, dy,
-         wanted(call, 0, b) + g * way.output_count * N * LANES);
-    memcpy(wanted(call, 1, b) + g * N * LANES, dy, sizeof dy);
-}
-
-void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 3, 1, 3, 1, 0, 0, 1, 2};
-    Call call;
-    if (!received(frame, axes, 4, &call)) return NULL;
-    in_parallel(push_group, &call, call.batch * groups_of(&call));
-    return NULL;
+         wanted(call, 0, b) + g * way.output_count * N * SPREAD + lane);
+    store_rows(last, dy, N);
 }

@@ -8,7 +8,7 @@ import contextlib
 import ctypes
 import functools
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -18,6 +18,7 @@ from jax.typing import DTypeLike
 
 from .call_interface import callable_program, installed
 from .compiler import NoCompilerError, Program, program_of
+from .platforms import platform
 from .run_watch import follow
 
 _SLOTS = 128  # programs of a process that may be late; others are waited for
@@ -40,9 +41,9 @@ def check_usable() -> None:
 def prepare_calls() -> None:
     """Begin to compile them beside what goes on, which then need not wait; once.
 
-    On a machine whose numbers are elsewhere than on its CPU nothing is compiled.
+    Where numbers are on a device that nothing is compiled for, nothing is.
     """
-    if jax.default_backend() != "cpu":
+    if platform() is None:
         return
 
     def made() -> None:
@@ -100,10 +101,21 @@ class _Late:
 class Target:
     """A program that XLA will call."""
 
-    def __init__(self, program: Program):
-        """Not yet compiled."""
+    def __init__(
+        self,
+        program: Program,
+        platform: str = "cpu",
+        image: Callable[[], bytes] | None = None,
+    ):
+        """Not yet compiled.
+
+        Args:
+            program: What XLA calls.
+            platform: XLA's name of where.
+            image: Compiles what the program hands on to a GPU; None: to none.
+        """
         self.name = f"rollkane_{program.key}"
-        self._program = program
+        self._program, self._platform, self._image = program, platform, image
         self._lock = threading.Lock()
         self._slot: int | None = None
         self._registered = False
@@ -135,14 +147,24 @@ class Target:
             _expected.programs.append(self._coming)
 
     def _loaded(self) -> ctypes.CDLL:
-        library = self._program.loaded()
-        follow(library)
+        if self._image is None:
+            library = self._program.loaded()
+            follow(library)
+            return library
+        with ThreadPoolExecutor(1) as beside:
+            coming = beside.submit(self._program.loaded)
+            image = self._image()
+            library = coming.result()
+        library.load_image.restype = ctypes.c_char_p
+        why = library.load_image(image)
+        if why is not None:
+            raise NoCompilerError(why.decode())
         return library
 
     def _register(self, handler: Any) -> None:
         if not self._registered:
             capsule = jax.ffi.pycapsule(handler)
-            jax.ffi.register_ffi_target(self.name, capsule, platform="cpu")
+            jax.ffi.register_ffi_target(self.name, capsule, platform=self._platform)
             self._registered = True
 
 

@@ -5,6 +5,11 @@ typedef struct {
 } Watch;
 Watch *rollkane_watch;
 
+/* Tell who looks how far a motion has come [s]. */
+INLINE void tell_time(double time) {
+    if (rollkane_watch && rollkane_watch->looks) rollkane_watch->time = time;
+}
+
 /* Whether runs are to end where they are. */
 INLINE int told_to_end(void) {
     return rollkane_watch && *(volatile int32_t *)&rollkane_watch->ends;

@@ -19,6 +19,7 @@ from .data_movement import as_objects, refuse_keys
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Aval, Jaxpr
 from .memory_walk import SMALL, Value
+from .platforms import platform
 from .scalar_program import NotElementwiseError
 from .scalars import in_c
 from .statement_writer import Writer, part
@@ -42,8 +43,10 @@ def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
 
     Raises:
         NotElementwiseError: an operation that is not written in C.
-        NoCompilerError: no C compiler.
+        NoCompilerError: no C compiler, or numbers that are on a GPU.
     """
+    if platform() != "cpu":
+        raise NoCompilerError("whole programs run on processors alone")
     whole = Whole.of(function, *arguments)
     parts = *whole.parts, "threads.h", "program_call.c"
     call = XlaCall(whole.dtype, 1, whole.head, parts, whole.further, whole.effort)

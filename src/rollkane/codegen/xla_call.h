@@ -1,12 +1,9 @@
-/* What XLA hands over in a call. Before this text: rows.h, and API_MAJOR and API_MINOR, the
- * version of the installed interface.
+/* What XLA hands over in a call. Before this text: buffers.h, and API_MAJOR and API_MINOR,
+ * the version of the installed interface.
  *
  * XLA's structures are declared here by their layout, which an API of one major version
  * only appends to (each structure tells its size); the names in its header change from
  * release to release. xla_call.py compares layouts with the installed header.
- *
- * Sizes that are no more than memory are read from the shapes of XLA's buffers. In a batch
- * each buffer has one more axis in front, of length one where all members share it.
  */
 
 typedef struct Extension {
@@ -58,9 +55,18 @@ typedef struct {
 typedef struct {
     size_t struct_size;
     Extension *extension_start;
+    const void *context;
+    void *stream; /* what is asked */
+} StreamAsked;
+
+typedef struct {
+    size_t struct_size;
+    Extension *extension_start;
     ApiVersion api_version;
     const void *internal;
     void *(*error_create)(ErrorAsked *asked);
+    void *(*error_message)(void *), *(*error_destroy)(void *), *(*handler_register)(void *);
+    void *(*stream_get)(StreamAsked *asked);
 } Api; /* its first fields */
 
 typedef struct {
@@ -74,55 +80,6 @@ typedef struct {
 
 enum { METADATA = 1 };  /* the type of an extension that asks for the version */
 enum { INTERNAL = 13 }; /* the code of an error */
-
-typedef struct {
-    const char *data;
-    const int64_t *dims;
-    long leads, axes; /* axes of the batch in front, and its own */
-} Buffer;
-
-#ifndef MOST_GIVEN /* arguments and results of any function here */
-#define MOST_GIVEN 9
-#define MOST_RESULTS 5
-#endif
-
-typedef struct {
-    Buffer given[MOST_GIVEN];
-    char *results[MOST_RESULTS];
-    long sizes[MOST_RESULTS];
-    const int64_t *dims; /* of the batch */
-    long leads, batch;
-} Call;
-
-static long product(const int64_t *dims, long axes) {
-    long size = 1;
-    for (long i = 0; i < axes; i++) size *= dims[i];
-    return size;
-}
-
-static long size_of(const Buffer *buffer) {
-    return product(buffer->dims + buffer->leads, buffer->axes);
-}
-
-/* Where the numbers of a member of the batch begin. */
-static const real *member(const Call *call, int i, long b) {
-    const Buffer *buffer = &call->given[i];
-    long place = 0, stride = size_of(buffer);
-    for (long axis = call->leads - 1; axis >= 0; axis--) {
-        const long at = b % call->dims[axis];
-        b /= call->dims[axis];
-        if (buffer->dims[axis] > 1) place += at * stride;
-        stride *= buffer->dims[axis];
-    }
-    return (const real *)buffer->data + place;
-}
-
-/* The first member from b on, before an end, that does not share an argument with b. */
-INLINE long behind_alike(const Call *call, int i, long b, long end) {
-    const real *theirs = member(call, i, b);
-    while (b < end && member(call, i, b) == theirs) b++;
-    return b;
-}
 
 /* Whether only the interface's version is asked, which is told then. */
 static int told_version(const CallFrame *frame) {
@@ -153,9 +110,4 @@ static int received(const CallFrame *frame, const int *axes, int result_axes, Ca
         call->sizes[i] = product(result->dims + call->leads, result->rank - call->leads);
     }
     return 1;
-}
-
-/* Where a result of a member of the batch begins. */
-static real *wanted(const Call *call, int i, long b) {
-    return (real *)call->results[i] + b * call->sizes[i];
 }

@@ -19,7 +19,7 @@ from ..dynamics.gap import closing
 from ..dynamics.rolling import headings, watches_headings
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
-from ..integration.step_control import Landings
+from ..integration.step_control import AboveRounding, Landings
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import Doubt, between, rate_at_end, stays_positive
 from .event_location import Bracket
@@ -138,7 +138,7 @@ class Trials(eqx.Module):
         length = jnp.where(c.searching, c.bracket.trial, length)
         t1 = jnp.where(lands, goal, at.t + length)
         end = self.motion.stepped(at.mode, at.direction, at.t, t1, at.y, True)
-        size = jnp.sqrt(jnp.mean((end.error / self.tolerated(at.y, end.y)) ** 2))
+        size = AboveRounding(self.rtol)(end.error / self.tolerated(at.y, end.y))
         doubt = self.looked_at(c, t1, end, size <= 1.0)
         return Tried(t1, end, size, lands, doubt)
 

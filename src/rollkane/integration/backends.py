@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import diffrax as dfx
 import jax
 
-from ..codegen import NoCompilerError, prepare_calls, programs_awaited
+from ..codegen import NoCompilerError, platform, prepare_calls, programs_awaited
 from ..codegen.compiler import compiler_command
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain
@@ -60,13 +60,20 @@ def check_method(method: Any) -> None:
 
 def may_go_natively(method: str) -> bool:
     """Whether runs may be made by the loop in C, as far as the machine tells."""
-    if method == "diffrax" or jax.default_backend() != "cpu":
+    if method == "diffrax" or platform() is None:
         return False
     try:
         compiler_command()
     except NoCompilerError:
         return False
     return True
+
+
+def without_native_modes() -> str | None:
+    """Why the loop in C cannot make a run with modes; None: it may."""
+    if platform() == "cuda":
+        return "runs with modes go natively on processors alone, not on a GPU"
+    return without_native(None, {})
 
 
 def without_native(
@@ -84,8 +91,8 @@ def without_native(
     if solver is not None and not is_plain(solver):
         known = ", ".join(kind.__name__ for kind in PLAIN)
         return f"{type(solver).__name__} is none of {known}"
-    if jax.default_backend() != "cpu":
-        return "it runs on the CPU only, which is not JAX's default here"
+    if platform() is None:
+        return f"it runs on no {jax.default_backend()} of this kind, JAX's default here"
     return None
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop
+from ..codegen import CotangentLoop, NoCompilerError, Rates, TangentLoop, platform
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import Weights, stage_sum
 from .recorded_steps import Steps, most
@@ -122,7 +122,7 @@ def push(
 
 def _in_c(kind: Callable[..., Any], run: Run, *like: Any) -> Any:
     """A compiled loop; None where there can be none, and XLA's programs serve."""
-    if jax.default_backend() != "cpu":
+    if platform() is None:
         return None
     try:
         return kind(Rates(run.rates, run.varied, run.weights), *like)

@@ -30,6 +30,7 @@ from .plans import (
 from .refused_steps import Holds, refusing
 from .replay import STEPS_BETWEEN
 from .step_control import (
+    AboveRounding,
     Landings,
     LandOn,
     Number,
@@ -359,7 +360,12 @@ def _landing(
     dtmin = None if watched else _least_step(times)
     rtol, atol, dtmax = options
     controller = dfx.PIDController(
-        rtol=rtol, atol=atol, dtmin=dtmin, dtmax=dtmax, force_dtmin=False
+        rtol=rtol,
+        atol=atol,
+        dtmin=dtmin,
+        dtmax=dtmax,
+        force_dtmin=False,
+        norm=AboveRounding(rtol),
     )
     where = landings_of(model, times, plan)
     if where.ends.shape[0] == 1 and not watched:

@@ -29,6 +29,25 @@ from .controller_interface import (
 from .held_numbers import of_numbers
 
 
+class AboveRounding(eqx.Module):
+    """Size of a step's scaled error, less what rounding makes of it.
+
+    Below the numbers' own rounding an error is noise, another on every machine; a step
+    that was chosen by it would be, too.
+
+    Attributes:
+        rtol: Relative tolerance of a step [1].
+    """
+
+    rtol: Any
+
+    def __call__(self, scaled: Float[Array, " n"]) -> Float[Array, ""]:
+        """Root of the mean square, from the rounding on."""
+        noise = np.finfo(scaled.dtype).eps / self.rtol
+        size = jnp.sqrt(jnp.mean(jnp.square(scaled)))
+        return jnp.maximum(size - jnp.asarray(noise, scaled.dtype), 0.0)
+
+
 class Landings(NamedTuple):
     """Where steps have to end, in order, and where the next ones begin.
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..codegen import NoCompilerError, Results
+from ..codegen import NoCompilerError, Results, platform
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes, of
@@ -42,6 +42,9 @@ from .trajectory import Trajectory
 # what a block's states may take [bytes]
 _MEMORY = 2**25
 _MOST_IN_BLOCK = 8192
+# the same on a GPU, which has some 50,000 threads at work and takes one block at a time
+_MEMORY_OF_GPU = 2**30
+_MOST_ON_GPU = 2**18
 
 # of every member, in what a loop gives and in an ensemble
 _ENDS = "code", "final_time", "steps", "rejected_steps", "fault"
@@ -120,7 +123,9 @@ class EnsembleRun:
         if method != "diffrax" and modes is None and not self.traced:
             self._choose()
         self.block = self._size(block)
-        self.workers = _whole("workers", workers, processors())
+        # the next block is prepared while a GPU works
+        able = 2 if platform() == "cuda" else processors()
+        self.workers = _whole("workers", workers, able)
 
     def _check(self, modes: Modes | None) -> None:
         scene, start = self.example
@@ -153,10 +158,13 @@ class EnsembleRun:
 
     def _size(self, block: int | None) -> int:
         numbers = sum(x.size for x in jax.tree.leaves(self._kept_at_a_time()))
-        fitting = _MEMORY // (8 * max(numbers, 1) * self.times.shape[0])
+        on_gpu = platform() == "cuda"
+        memory = _MEMORY_OF_GPU if on_gpu else _MEMORY
+        fitting = memory // (8 * max(numbers, 1) * self.times.shape[0])
         # small enough that every processor has some
         fair = -(-self.members.size // processors())
-        default = max(min(_MOST_IN_BLOCK, fitting, fair), 1)
+        most = _MOST_ON_GPU if on_gpu else min(_MOST_IN_BLOCK, fair)
+        default = max(min(most, fitting), 1)
         return min(_whole("block", block, default), self.members.size)
 
     def _kept_at_a_time(self) -> Any:

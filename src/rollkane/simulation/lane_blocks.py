@@ -190,7 +190,7 @@ class LaneBlocks:
         results = results._replace(
             y=results.y.astype(y0.dtype),
             final_y=results.final_y.astype(y0.dtype),
-            final_time=(sense * results.final_time).astype(y0.dtype),
+            final_time=results.final_time.astype(y0.dtype),
             moments=None if found is None else found.astype(y0.dtype, copy=False),
         )
         y = np.concatenate([y0[:, None], results.y], axis=1)

@@ -16,7 +16,7 @@ from ..dynamics.scene import Scene
 from ..hybrid.hybrid_run import integrate_modes
 from ..hybrid.modes import HybridScene, Modes
 from ..hybrid.outcome import HybridOutcome
-from ..integration.backends import without_native
+from ..integration.backends import without_native_modes
 from ..integration.held_numbers import held
 from ..integration.integrate import (
     check_steps,
@@ -96,7 +96,7 @@ def ready_with_modes(
     others = (times, stops, *numbers), watched
     run = Prepared.of((_by_xla, _around_loop), plan, changing, (), others)
     shown = functools.partial(_trajectory, *taken_apart(changing), times, watched)
-    return ReadyCall(run, without_native(None, {}), ("modes", looks), watched, shown)
+    return ReadyCall(run, without_native_modes(), ("modes", looks), watched, shown)
 
 
 class _Plan(NamedTuple):

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..codegen import platform
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..simulation.ensemble_result import Ensemble
@@ -28,8 +29,9 @@ from .moded_views import rolling_of, value_of
 from .study import Observable, Study
 
 # Members of a unit: in lanes as many as hide what a call costs; those that one program
-# takes at once, few, since all of them are computed where one is wanted
-_IN_LANES, _AT_ONCE = 1024, 64
+# takes at once, few, since all of them are computed where one is wanted; on a GPU
+# many: it takes as long for one
+_IN_LANES, _AT_ONCE, _ON_GPU = 1024, 64, 2**15
 # units that are kept where blocks are smaller: more than threads work at
 _KEPT = 16
 
@@ -86,8 +88,9 @@ class UnitRuns:
         self.unit = _IN_LANES
         self._run = self._runs_of(_IN_LANES)
         if self._run.lanes is None:
-            self.unit = _AT_ONCE
-            self._run = self._runs_of(_AT_ONCE)
+            on_gpu = platform() == "cuda" and study.modes is None
+            self.unit = _ON_GPU if on_gpu else _AT_ONCE
+            self._run = self._runs_of(self.unit)
         self.method = self.why = ""
         self.fields = self._run.fields
         self._shapes = self._observed_shapes()
