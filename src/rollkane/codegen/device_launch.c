@@ -82,6 +82,7 @@ const char *load_image(const void *image) {
 static Status launch(void *kernel, long threads, long rows, void *stream, Sent *sent) {
     void *function, *given[] = {sent};
     int device, processors, resident;
+    if (threads < 1) return 0;
     Status status = cuda.function(&function, kernel);
     if (!status) status = cuda.device(&device);
     if (!status) status = cuda.attribute(&processors, PROCESSORS, device);

@@ -16,7 +16,7 @@ INLINE Begun *begun_of(const Call *call, const Sent *sent, long b) {
     return (Begun *)wanted(call, sent->workspace, b);
 }
 
-/* A queue whose stops are where begin_queues has left them. */
+/* A queue whose stops are where the function before has left them. */
 static Queue begun_queue(const Call *call, const Sent *sent, long b) {
     Queue q = queue_of(call, b, sent->parts);
     Begun *begun = begun_of(call, sent, b);

@@ -43,6 +43,8 @@ class AboveRounding(eqx.Module):
 
     def __call__(self, scaled: Float[Array, " n"]) -> Float[Array, ""]:
         """Root of the mean square, from the rounding on."""
+        # an error of zero has no derivative, and steps are not differentiated
+        scaled = jax.lax.stop_gradient(scaled)
         noise = np.finfo(scaled.dtype).eps / self.rtol
         size = jnp.sqrt(jnp.mean(jnp.square(scaled)))
         return jnp.maximum(size - jnp.asarray(noise, scaled.dtype), 0.0)
