@@ -38,9 +38,9 @@ LIMITS = {
 # the law, the body, its base, the base's motion, and what is carried
 QUICK = [
     ("rolling", "ball", "hoop", "rest"),
-    ("rolling", "ball", "plane", "rest", "spring"),
 ]
 SLOW = [
+    ("rolling", "ball", "plane", "rest", "spring"),
     ("rolling", "torus", "roller", "rest"),
     ("rolling", "ellipsoid", "hills", "sway"),
     ("rolling", "egg", "roller", "rest"),

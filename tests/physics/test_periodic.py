@@ -92,6 +92,7 @@ def spring(alpha, stiffness):
     return 0.5 * stiffness * alpha[0] ** 2
 
 
+@pytest.mark.slow
 def test_slow_modes_beside_a_fast_one():
     """A bob h above the contact, d below the middle, that a stiff spring holds there.
 
@@ -118,6 +119,7 @@ def test_slow_modes_beside_a_fast_one():
     np.testing.assert_allclose(found, [*slow, fast], rtol=2e-7)
 
 
+@pytest.mark.slow
 def test_swings_of_similar_balls_are_similar():
     """Froude's law: of lengths L times go as the root of L, and multipliers stay."""
     found = []

@@ -465,6 +465,7 @@ def uneven_bowl(x, y, p):
     return 0.5 * (x**2 + 1.5 * y**2) + 0.3 * far**2 + p["e"] * x
 
 
+@pytest.mark.slow
 def test_long_steps_do_not_jump_from_a_branch_to_its_neighbour():
     """Where a pitchfork is broken, e from the branch that goes on without a turn.
 

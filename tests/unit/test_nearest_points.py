@@ -13,6 +13,8 @@ from rollkane.dynamics import nearest_points
 from rollkane.geometry.rotations import rotation_matrix
 from rollkane.kinematics.coordinates import FlyingState
 
+from ..quick import slow_but
+
 WAVES = rk.Graph(lambda x, y: 0.1 * jnp.sin(3.0 * x) * jnp.cos(2.0 * y))
 EGG = rk.Parametric(
     lambda n: jnp.stack([0.1 * n[0], 0.1 * n[1], 0.14 * n[2] + 0.02 * n[2] * n[2]]),
@@ -115,7 +117,7 @@ def placed_near(base, seed, least):
     return turned, at + draw.uniform(least, 1.5, 60)[:, None] * slope
 
 
-@pytest.mark.parametrize("base", FAR)
+@pytest.mark.parametrize("base", slow_but(["a ball", "a tyre"], FAR))
 @pytest.mark.parametrize("body", [rk.Torus(0.4, 0.12), EGG], ids=["torus", "egg"])
 def test_gap_is_that_of_the_nearest_of_all_places(body, base):
     """Of bodies anywhere near a base, beside distances of many of their points.
