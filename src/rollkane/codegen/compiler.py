@@ -76,6 +76,11 @@ def compiler_command() -> tuple[str, ...]:
     return _compiler(os.environ.get("CC")).command
 
 
+def lanes_of(dtype: DTypeLike) -> int:
+    """How many numbers the widest vector of a processor holds, of 64 bytes."""
+    return 64 // np.dtype(dtype).itemsize
+
+
 def program_of(
     dtype: DTypeLike, lanes: int, head: Mapping[str, int], parts: Iterable[str]
 ) -> str:

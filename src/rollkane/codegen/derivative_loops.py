@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .compiler import lanes_of
 from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
@@ -219,7 +220,7 @@ class CotangentLoop:
         ) -> tuple[list[Array], list[bool]]:
             differ, others = batched
             try:
-                loop = self._compiled(list(differ), _lanes_of(self._state))
+                loop = self._compiled(list(differ), lanes_of(self._state.dtype))
             except NotElementwiseError:
                 axis: Callable[[bool], int | None] = lambda x: 0 if x else None
                 axes = jax.tree.map(axis, (list(differ), tuple(others)))
@@ -257,11 +258,6 @@ class CotangentLoop:
         """Of one motion; in a batch one after the other on every processor."""
         shared = in_one(leaves, self._state.dtype)
         return self._call(self._shapes, shared, *along)
-
-
-def _lanes_of(state: Shaped) -> int:
-    """How many numbers a vector of 64 bytes holds."""
-    return 64 // np.dtype(state.dtype).itemsize
 
 
 def _sizes(rates: Rates, state: Shaped) -> dict[str, int]:

@@ -10,12 +10,14 @@ from jax.typing import DTypeLike
 
 from .call_interface import callable_program, installed
 from .compiler import Program, program_of
-from .nvrtc import image_of, nvrtc_version
+from .nvrtc import image_of
 from .platforms import architecture
 from .targets import Target
 
 _DRIVER = '#define CUDA_DRIVER "libcuda.so.1"'
-_BLOCK = 128  # threads that share what is prepared for them
+# Threads that share what is prepared for them: with 64, 128 and 256 of them discs,
+# rattlebacks and isolators a second (of a million) are within 15 % of one another
+_BLOCK = 128
 # Members that are worth sorting, which XLA compiles for 2 s: 10^5 gain nothing, half of
 # them being under way at once, of 10^6 there are 24 (rattleback) to 67 % more a second
 _WORTH_SORTING = 2**19
@@ -110,12 +112,3 @@ def device_target(kernel: Kernel) -> Target:
     program = Program.of(kernel.launcher, effort="-O1")
     image = lambda: image_of(kernel.text, architecture())
     return Target(program, "CUDA", image)
-
-
-def check_device() -> None:
-    """Whether programs can be compiled for the GPU.
-
-    Raises:
-        NoCompilerError: there is no NVRTC.
-    """
-    nvrtc_version()

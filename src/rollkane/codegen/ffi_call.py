@@ -13,7 +13,8 @@ from jax.typing import DTypeLike
 from jaxtyping import Array
 
 from .compiler import NoCompilerError
-from .device_program import Kernel, check_device, device_target
+from .device_program import Kernel, device_target
+from .nvrtc import nvrtc_version
 from .platforms import platform
 from .targets import Target, check_usable, target_of
 
@@ -51,7 +52,7 @@ class XlaCall:
         if platform() == "cuda":
             if kernel is None:
                 raise NoCompilerError("programs of this kind run on processors alone")
-            check_device()
+            nvrtc_version()  # there is one
             self._kernel = kernel()
         known = tuple(head.items())
         self._target = target_of(dtype, lanes, known, parts, others, effort)

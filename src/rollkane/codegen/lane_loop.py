@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .compiler import Program, program_of
+from .compiler import Program, lanes_of, program_of
 from .jaxpr_types import Shaped
 from .right_hand_side import Looked, lanes_source
 from .run_watch import follow
@@ -134,7 +134,7 @@ class LaneLoop:
         """
         self.dtype = np.dtype(np.longdouble if extended else state.dtype)
         lanes = 1 if extended else lanes
-        lanes = 64 // self.dtype.itemsize if lanes is None else lanes
+        lanes = lanes_of(self.dtype) if lanes is None else lanes
         self.lanes = lanes
         self._events = None if events is None else events.layout
         made = lanes_source(derivative, state, leaves, own, zeros, watch, events)

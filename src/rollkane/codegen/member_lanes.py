@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .compiler import lanes_of
 from .ffi_call import XlaCall
 from .jaxpr_types import Shaped
 from .memory_walk import SMALL
@@ -204,7 +205,7 @@ class MemberLanes:
         parts = *parts, "member_lanes_call.c"
         sizes = [math.prod(shape) for shape in program.taken]
         head["GIVEN_SMALL"] = sum(x for x in sizes if x <= SMALL)
-        lanes = 64 // program.dtype.itemsize
+        lanes = lanes_of(program.dtype)
         # with the care of a loop that runs long, whatever its program is worth
         self._call = XlaCall(program.dtype, lanes, head, parts, program.further)
 

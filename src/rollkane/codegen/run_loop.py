@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .compiler import lanes_of
 from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
@@ -257,7 +258,7 @@ class RunLoop:
 
     def _of_lanes(self, differs: tuple[bool, ...]) -> XlaCall | None:
         """The loop for a batch at the same times; None: not where tables differ."""
-        lanes = 64 // np.dtype(self._state.dtype).itemsize
+        lanes = lanes_of(self._state.dtype)
         try:
             return self._compiled(list(differs), lanes, "batch_call.c")
         except NotElementwiseError:

@@ -30,7 +30,7 @@ from .study import Observable, Study
 
 # Members of a unit: in lanes as many as hide what a call costs; those that one program
 # takes at once, few, since all of them are computed where one is wanted; on a GPU
-# many: it takes as long for one
+# many: it takes as long for one as for so many
 _IN_LANES, _AT_ONCE, _ON_GPU = 1024, 64, 2**15
 # units that are kept where blocks are smaller: more than threads work at
 _KEPT = 16
