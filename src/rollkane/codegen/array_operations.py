@@ -267,6 +267,6 @@ def _contracted(
         total = writer.variable("real", in_c(np.float64(0.0)))
         with arrays.loops(along) as k:
             x, y = a.at((*each, *of_a, *k)), b.at((*each, *of_b, *k))
-            writer.line(f"{total.text} += {x} * {y};")
+            writer.line(f"{total.text} = fma_one({x}, {y}, {total.text});")
         writer.line(f"{to.at(index)} = {total.text};")
     return to

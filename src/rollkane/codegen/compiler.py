@@ -19,8 +19,12 @@ from jax.typing import DTypeLike
 
 from .cache import UnusableError, loaded, private_folder
 
-# sqrt need not set errno, which a loop over lanes could not do in one instruction
-_FLAGS = ("-std=gnu11", "-O3", "-fno-math-errno", "-fPIC", "-shared", "-pthread")
+# sqrt need not set errno, which a loop over lanes could not do in one instruction;
+# products and sums are fused where the text says so (fused.py)
+_FLAGS = (
+    *("-std=gnu11", "-O3", "-fno-math-errno", "-ffp-contract=off"),
+    *("-fPIC", "-shared", "-pthread"),
+)
 # C's names of other numbers than double, and how it calls its functions for them
 _REALS = {
     np.dtype(np.float32): ("float", "name##f"),

@@ -323,8 +323,8 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
             row size = splat(0);
             for (int c = 0; c < N; c++) {
                 const row most = max_row(abs_row(a.y[c]), abs_row(y[c]));
-                const row e = error[c] / (a.atol[c] + most * q->rtol);
-                size += e * e;
+                const row e = error[c] / fma_row(most, splat(q->rtol), a.atol[c]);
+                size = fma_row(e, e, size);
             }
             /* what is below the numbers' own rounding is noise, another on every machine */
             size = max_row(sqrt_row(size / (real)N) - EPSILON / q->rtol, splat(0));

@@ -36,7 +36,7 @@ static mask may_dip(row seen[][3]) {
         row spread = splat(0), largest = splat(0);
         for (int i = 0; i < LOOKS; i++) {
             row off = seen[i][c];
-            for (int j = 0; j < 4; j++) off -= known[j] * through_seen[i][j];
+            for (int j = 0; j < 4; j++) off = fnma_row(known[j], splat(through_seen[i][j]), off);
             largest = max_row(largest, abs_row(seen[i][c]));
             if (bulge_seen[i] > (real)0.25)
                 spread = max_row(spread, abs_row(off) / bulge_seen[i]);
@@ -45,7 +45,7 @@ static mask may_dip(row seen[][3]) {
         const row slack = largest * (ROUNDING * EPSILON);
         for (int i = 0; i < PLACES; i++) {
             row bound = slack - spread * bulge_places[i];
-            for (int j = 0; j < 4; j++) bound += known[j] * through_places[i][j];
+            for (int j = 0; j < 4; j++) bound = fma_row(known[j], splat(through_places[i][j]), bound);
             dips |= not_row(bound > 0);
         }
     }

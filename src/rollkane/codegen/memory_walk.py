@@ -12,10 +12,11 @@ from jax.typing import DTypeLike
 
 from .array_memory import Arrays, Memory
 from .data_movement import numbers_of
+from .fused import Products
 from .jaxpr_types import Params
 from .scalar_program import NotElementwiseError, Walk
 from .scalars import Number, expression, in_c
-from .statement_writer import Writer
+from .statement_writer import Writer, stays
 from .whole_numbers import type_of
 
 # numbers of an array that are written one by one
@@ -41,14 +42,20 @@ class MemoryWalk(Walk):
         self.dtype = np.dtype(dtype)
         self.writer = Writer()
         self.arrays = Arrays(self.writer)
+        self._products = Products()
 
     def _operate(
         self, name: str, params: Params, operands: list[Any], dtype: np.dtype
     ) -> Number:
         if dtype.kind == "f" and dtype != self.dtype:
             raise NotElementwiseError(f"numbers of {dtype}")
+        if dtype.kind == "f":
+            name, operands = self._products.fused(name, operands)
         text = expression(name, params, operands, dtype)
-        return self.writer.let(text, type_of(dtype))
+        number = self.writer.let(text, type_of(dtype))
+        if dtype.kind == "f" and all(map(stays, operands)):
+            self._products.note(name, operands, number.text)
+        return number
 
     def of_its_size(self, x: Value) -> Value:
         """Single numbers only if they are few, else an array in memory."""

@@ -29,8 +29,11 @@ typedef long long int64_t; typedef unsigned long long uint64_t;
 #define INFINITY __int_as_float(0x7f800000)
 """,
 }
-# C texts have no marks of where a function runs
-_OPTIONS = "--device-as-default-execution-space", "--std=c++20", "--disable-warnings"
+# C texts have no marks of where a function runs; products and sums are fused there
+_OPTIONS = (
+    *("--device-as-default-execution-space", "--std=c++20", "--disable-warnings"),
+    "--fmad=false",
+)
 _NAMES = "libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so"
 
 

@@ -55,8 +55,8 @@ INLINE row P(size_of_error)(const P(Lanes) *a, const row *y, const row *error) {
         const int slips = P(SLIP) >= 0 && c >= P(SLIP) && c < P(SLIP) + 3;
         const row most = slips ? fastest : max_row(abs_row(a->y[c]), abs_row(y[c]));
         const row least = slips ? min_row(a->atol[c], splat(EPSILON)) : a->atol[c];
-        const row e = error[c] / (least + most * a->rtol);
-        size += e * e;
+        const row e = error[c] / fma_row(most, a->rtol, least);
+        size = fma_row(e, e, size);
     }
     return max_row(sqrt_row(size / (real)N) - EPSILON / a->rtol, splat(0));
 }

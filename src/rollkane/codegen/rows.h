@@ -13,6 +13,11 @@ enum { LANES = BYTES / sizeof(real) };
 #endif
 #define INLINE static inline __attribute__((always_inline, unused))
 
+#if REAL_IS_DOUBLE
+typedef int64_t whole; /* of as many bits */
+#else
+typedef int32_t whole;
+#endif
 #if ONE_LANE /* a vector of one number goes through registers that cannot compute */
 typedef real row;
 typedef int mask;
@@ -24,11 +29,6 @@ INLINE mask not_row(mask m) { return !m; }
 INLINE row choose_row(mask m, row a, row b) { return m ? a : b; }
 INLINE int any(mask m) { return m; }
 #else
-#if REAL_IS_DOUBLE
-typedef int64_t whole;
-#else
-typedef int32_t whole;
-#endif
 typedef real row __attribute__((vector_size(BYTES)));
 typedef whole mask __attribute__((vector_size(BYTES)));
 #define LANE(x, l) ((x)[l])
@@ -45,6 +45,67 @@ INLINE int any(mask m) {
     return total != 0;
 }
 #endif
+/* Fused multiply-adds, rounded once, of every compiler (which forms none of its own). They
+ * round twice on a processor that has none. In long double there are none. */
+#define FUSED ((ON_DEVICE || HAS_FMA) && !(ONE_LANE && BYTES > 8))
+#if defined __FMA__ || defined __aarch64__
+#define HAS_FMA 1
+#else
+#define HAS_FMA 0
+#endif
+#ifdef __has_builtin
+#if __has_builtin(__builtin_elementwise_fma)
+#define FMA_OF_ROWS 1
+#endif
+#endif
+#if !FUSED
+#define FUSE_ONE(x, y, z) ((x) * (y) + (z))
+#else
+#define FUSE_ONE(x, y, z) C(fma)(x, y, z)
+#endif
+#if !FUSED || ONE_LANE
+#define FUSE_ROW(named, sign, x, y, plus, z) FUSE_ONE(sign x, y, plus z)
+#elif defined FMA_OF_ROWS
+#define FUSE_ROW(named, sign, x, y, plus, z) __builtin_elementwise_fma(sign x, y, plus z)
+#elif BYTES == 64 && defined __AVX512F__ && REAL_IS_DOUBLE
+#define FUSE_ROW(named, sign, x, y, plus, z)                                           \
+    __builtin_ia32_v##named##pd512_mask(x, y, z, (unsigned char)-1, 4)
+#elif BYTES == 64 && defined __AVX512F__
+#define FUSE_ROW(named, sign, x, y, plus, z)                                           \
+    __builtin_ia32_v##named##ps512_mask(x, y, z, (unsigned short)-1, 4)
+#elif BYTES == 64 && defined __FMA__ /* in halves, which compiles faster than in lanes */
+typedef real half __attribute__((vector_size(32)));
+typedef union { row all; half part[2]; } Halves;
+#if REAL_IS_DOUBLE
+#define FUSE_HALF(named, x, y, z) __builtin_ia32_v##named##pd256(x, y, z)
+#else
+#define FUSE_HALF(named, x, y, z) __builtin_ia32_v##named##ps256(x, y, z)
+#endif
+#define FUSE_ROW(named, sign, x, y, plus, z)                                           \
+    ({                                                                                 \
+        const Halves a = {x}, b = {y}, c = {z};                                        \
+        Halves r;                                                                      \
+        r.part[0] = FUSE_HALF(named, a.part[0], b.part[0], c.part[0]);                 \
+        r.part[1] = FUSE_HALF(named, a.part[1], b.part[1], c.part[1]);                 \
+        r.all;                                                                         \
+    })
+#else
+#define FUSE_ROW(named, sign, x, y, plus, z)                                           \
+    ({                                                                                 \
+        row r;                                                                         \
+        for (int l = 0; l < LANES; l++)                                                \
+            LANE(r, l) = FUSE_ONE(sign LANE(x, l), LANE(y, l), plus LANE(z, l));       \
+        r;                                                                             \
+    })
+#endif
+#define FUSED_AS(name, named, sign, plus)                                              \
+    INLINE real name##_one(real x, real y, real z) { return FUSE_ONE(sign x, y, plus z); } \
+    INLINE row name##_row(row x, row y, row z) {                                       \
+        return FUSE_ROW(named, sign, x, y, plus, z);                                   \
+    }
+FUSED_AS(fma, fmadd, +, +) FUSED_AS(fms, fmsub, +, -)
+FUSED_AS(fnma, fnmadd, -, +) FUSED_AS(fnms, fnmsub, -, -)
+
 INLINE int not_one(int m) { return !m; }
 INLINE real choose_one(int m, real a, real b) { return m ? a : b; }
 /* like XLA's: what is not a number stays so */

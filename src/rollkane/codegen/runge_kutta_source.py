@@ -44,16 +44,16 @@ def attempt_source(weights: Weights) -> str:
     ]
     *before, (row, end) = _stages(weights)
     for i, (stage, time) in enumerate(before, 1):
-        lines.append(f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', stage)});")
+        lines.append(f"{_EACH} y_new[c] = {_moved('y', 'k', stage)};")
         lines.append(f"rates({time}, y_new, {given}, u, v, k[{i}]);")
     lines += [
-        f"{_EACH} y_new[c] = y[c] + h * ({_weighted('k', row)});",
+        f"{_EACH} y_new[c] = {_moved('y', 'k', row)};",
         "#if EVENTS",
         f"rates_events({end}, y_new, {given}, event_u, event_v, k[STAGES - 1], seen);",
         "#else",
         f"rates({end}, y_new, {given}, u, v, k[STAGES - 1]);",
         "#endif",
-        f"{_EACH} error[c] = h * ({_weighted('k', weights.error)});",
+        f"{_EACH} error[c] = h * {_weighted('k', weights.error)};",
     ]
     return "\n".join([*lines, "}"])
 
@@ -88,11 +88,11 @@ def watched_attempt_source(
         if i == last:
             call = f"rates_end_{mode}({time}, y_new, own, shared, NULL, end_u, end_v"
         lines += [
-            f"{each} y_new[c] = y[c] + h * ({_weighted('k', stage)});",
+            f"{each} y_new[c] = {_moved('y', 'k', stage)};",
             f"{call}, k[{i}], seen[{i}]);",
         ]
     lines += [
-        f"{each} error[c] = h * ({_weighted('k', weights.error)});",
+        f"{each} error[c] = h * {_weighted('k', weights.error)};",
         "}",
         f"static void beside_{mode}(row t, row h, const row *restrict y,",
         f"    {known},",
@@ -102,7 +102,7 @@ def watched_attempt_source(
     ]
     for i, (share, row) in enumerate(beside, len(weights.rows) + 1):
         lines += [
-            f"{each} at[c] = y[c] + h * ({_weighted('k', tuple(row))});",
+            f"{each} at[c] = {_moved('y', 'k', tuple(row))};",
             f"rates_{mode}(t + h * {_weight(share)}, at, {given}, rates, seen[{i}]);",
         ]
     return "\n".join([*lines, "}"])
@@ -110,12 +110,13 @@ def watched_attempt_source(
 
 def push_source(weights: Weights) -> str:
     """A step of a state together with its changes as a C function, ``advance``."""
+    names = [("", "h", False), ("d", "splat(h)", True)]
     lines = [
         "static void advance(real t, real t_end, real h, real *restrict y,",
         f"                    row *restrict dy, {FIXED}, {PREPARED}) {{",
         "real k[STAGES][N], z[N];",
         "row dk[STAGES][N], dz[N];",
-        *_advanced(weights, ["", "d"], "shared, tangents, u, v"),
+        *_advanced(weights, names, "shared, tangents, u, v"),
         "}",
     ]
     return "\n".join(lines)
@@ -134,7 +135,7 @@ def pull_source(weights: Weights) -> str:
         "static void advance(row t, row t_end, row h, row *restrict y,",
         f"                    {given}, row k[STAGES][N]) {{",
         "row z[N];",
-        *_advanced(weights, [""], "own, shared, NULL, u, v"),
+        *_advanced(weights, [("", "h", True)], "own, shared, NULL, u, v"),
         "}",
         "static void retreat(row t, row t_end, row h,",
         "                    const row *restrict y, const row k[STAGES][N],",
@@ -146,28 +147,40 @@ def pull_source(weights: Weights) -> str:
     places = [((), "t"), *stages[:-1]]
     for i, (row, time) in reversed(list(enumerate(places))):
         behind = [(j, places[j][0][i]) for j in range(i + 1, len(places))]
-        terms = [f"back[c] * {_weight(last[i])}"] if last[i] else []
-        terms += [f"g[{j}][c] * {_weight(weight)}" for j, weight in behind if weight]
-        lines.append(f"{_EACH} a[c] = h * ({' + '.join(terms)});")
-        place = f"y[c] + h * ({_weighted('k', row)})" if row else "y[c]"
+        terms = [("back[c]", last[i]), *((f"g[{j}][c]", x) for j, x in behind)]
+        lines.append(f"{_EACH} a[c] = h * {_sum(terms)};")
+        place = _moved("y", "k", row) if row else "y[c]"
         lines.append(f"{_EACH} z[c] = {place};")
         lines.append(f"rates_back({time}, z, own, a, shared, NULL, u, v, g[{i}], m);")
     total = " + ".join(f"g[{i}][c]" for i in range(len(places)))
     return "\n".join([*lines, f"{_EACH} back[c] += {total};", "}"])
 
 
-def _advanced(weights: Weights, names: list[str], given: str) -> list[str]:
-    """Stages and end of a step; of each name x: xy is state, xk rates, xz workspace."""
+def _advanced(
+    weights: Weights, names: list[tuple[str, str, bool]], given: str
+) -> list[str]:
+    """Stages and end of a step; of each name x: xy is state, xk rates, xz workspace.
+
+    Args:
+        weights: Of the pair.
+        names: Each with the step as its numbers are, and whether these are rows.
+        given: What the rates are given behind time and state.
+    """
     listed: Callable[[str], str]
-    each: Callable[[str], list[str]]
-    listed = lambda array: ", ".join(x + array for x in names)
-    each = lambda text: [f"{_EACH} {text.replace('@', x)};" for x in names]
+    listed = lambda array: ", ".join(x + array for x, *_ in names)
+
+    def each(to: str, weights: tuple[float, ...]) -> list[str]:
+        return [
+            f"{_EACH} {x}{to}[c] = {_moved(f'{x}y', f'{x}k', weights, h, row)};"
+            for x, h, row in names
+        ]
+
     lines = [f"rates(t, {listed('y')}, {given}, {listed('k[0]')});"]
     *before, last = _stages(weights)
     for i, (row, time) in enumerate(before, 1):
-        lines += each(f"@z[c] = @y[c] + h * ({_weighted('@k', row)})")
+        lines += each("z", row)
         lines.append(f"rates({time}, {listed('z')}, {given}, {listed(f'k[{i}]')});")
-    return lines + each(f"@y[c] += h * ({_weighted('@k', last[0])})")
+    return lines + each("y", last[0])
 
 
 def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
@@ -177,9 +190,32 @@ def _stages(weights: Weights) -> list[tuple[tuple[float, ...], str]]:
     return [(row, time(c)) for row, c in zip(weights.rows, weights.nodes, strict=True)]
 
 
-def _weighted(rates: str, weights: tuple[float, ...]) -> str:
-    terms = [f"{rates}[{i}][c] * {_weight(w)}" for i, w in enumerate(weights) if w]
-    return " + ".join(terms) or "(real)0"
+def _moved(
+    y: str, rates: str, weights: tuple[float, ...], h: str = "h", row: bool = True
+) -> str:
+    """A number of a state behind a step, with these weights of the rates."""
+    return _fused(h, _weighted(rates, weights, row), f"{y}[c]", row)
+
+
+def _weighted(rates: str, weights: tuple[float, ...], row: bool = True) -> str:
+    return _sum([(f"{rates}[{i}][c]", w) for i, w in enumerate(weights)], row)
+
+
+def _sum(terms: list[tuple[str, float]], row: bool = True) -> str:
+    """Numbers times weights, in order; rows, or single ones."""
+    as_row = "splat({})" if row else "{}"
+    given = [(x, as_row.format(_weight(weight))) for x, weight in terms if weight]
+    if not given:
+        return as_row.format("(real)0")
+    (x, weight), *others = given
+    total = f"{x} * {weight}"
+    for x, weight in others:
+        total = _fused(x, weight, total, row)
+    return f"({total})"
+
+
+def _fused(x: str, y: str, z: str, row: bool) -> str:
+    return f"fma_{'row' if row else 'one'}({x}, {y}, {z})"
 
 
 def _weight(value: float) -> str:

@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .data_movement import Numbers, as_objects
+from .fused import FUSED, Products
 from .jaxpr_types import Params, Shaped
 from .known_numbers import REAL, TRUTH, WHOLE
 from .scalar_program import NotElementwiseError
-from .stage_text import Signature, Statement, function_source, names_in
+from .stage_text import Signature, Statement, function_source, used
 from .whole_numbers import (
     are_whole,
     in_range,
@@ -44,7 +45,7 @@ FUNCTIONS = frozenset(
     abs acos acosh asin asinh atan atan2 atanh cbrt ceil cos cosh erf erfc exp exp2
     expm1 floor lgamma log log1p max min pow rem sign sin sinh sqrt tan tanh
     """.split()  # noqa: SIM905 -- words read better than a column of strings
-)
+).union(FUSED)
 _OF_SEVERAL = {
     # the order of all numbers: what is not one behind them
     "lt_to": "({0} < {1}) | (({0} == {0}) & ({1} != {1}))",
@@ -100,6 +101,7 @@ class Statements:
         self.stage: list[tuple[Symbol, str]] = []
         self.tables: dict[str, str] = {}
         self._written: dict[tuple[str, bool], Symbol] = {}
+        self._products = Products()
 
     def operate(
         self, name: str, params: Params, operands: list[Any], dtype: np.dtype
@@ -108,11 +110,17 @@ class Statements:
         truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
         if name == "lookup":
             return self._looked_up(*operands)
+        real = not truth and not whole
+        if real:
+            name, operands = self._products.fused(name, operands)
         known = [x for x in operands if isinstance(x, Symbol)]
         row = any(x.row for x in known)
         fixed = all(x.fixed for x in known) and not whole
         text = _expression(name, params, operands, row, dtype)
-        return self._symbol(text, Symbol("", row, truth, fixed, whole))
+        symbol = self._symbol(text, Symbol("", row, truth, fixed, whole))
+        if real:
+            self._products.note(name, operands, symbol.text)
+        return symbol
 
     def _symbol(self, text: str, like: Symbol) -> Symbol:
         """What an expression gives: written once."""
@@ -332,12 +340,13 @@ def as_functions(
     statements: Statements, stage: str, results: list[Result], ending: str = ""
 ) -> Functions:
     """The two functions; what is fixed goes from one to the other in two arrays."""
-    body = [Statement(x.text, x.kind, text) for x, text in statements.stage]
     left = [line for result in results for line in result.statements()]
-    words = names_in([*(x.text for x in body), *left])
-    used = [symbol for symbol, _ in statements.before if symbol.text in words]
-    numbers = [x for x in used if not x.row]
-    rows = [x for x in used if x.row]
+    body, words = used(
+        [Statement(x.text, x.kind, text) for x, text in statements.stage], left
+    )
+    shared = [symbol for symbol, _ in statements.before if symbol.text in words]
+    numbers = [x for x in shared if not x.row]
+    rows = [x for x in shared if x.row]
     handed = [(f"u[{i}]", "real", x) for i, x in enumerate(numbers)]
     handed += [(f"v[{i}]", "row", x) for i, x in enumerate(rows)]
     given = {

@@ -62,6 +62,18 @@ def names_in(texts: Iterable[str]) -> set[str]:
     return set(_NAMES.findall("\n".join(texts)))
 
 
+def used(
+    statements: Sequence[Statement], results: Iterable[str]
+) -> tuple[list[Statement], set[str]]:
+    """Those of some statements that results need, and all names in both."""
+    names, kept = names_in(results), list[Statement]()
+    for one in reversed(statements):
+        if one.name in names:
+            kept.append(one)
+            names.update(_NAMES.findall(one.text))
+    return kept[::-1], names
+
+
 def function_source(
     signature: Signature,
     given: dict[str, str],

@@ -8,19 +8,25 @@ its own: of the numbers that it uses, to those that are used of it.
 import re
 from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .scalars import IN_C, Number
 
 _LONG = 150  # lines of a block that is a function
 # names of single numbers: computed once, or changed by a loop or a branch
 _NAME = re.compile(r"\b[sc]\d+\b")
+_COMPUTED_ONCE = re.compile(r"s\d+")
 
 
 def part(i: int) -> str:
     """The head of a function."""
     parameters = "const Frame *frame, const double *given, double *left"
     return f"OF_THE_PROGRAM void part{i}({parameters})"
+
+
+def stays(x: Any) -> bool:
+    """Whether a number is known, or computed once."""
+    return not isinstance(x, Number) or bool(_COMPUTED_ONCE.fullmatch(x.text))
 
 
 class Block:

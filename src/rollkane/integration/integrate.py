@@ -40,7 +40,7 @@ from .output_times import in_time, moved_in_time, not_by_times
 from .plans import Inputs, Plan, Record, Solution
 from .projection import Projected
 from .solve import plain, solve
-from .step_control import Stops
+from .step_control import Stops, coarse
 
 # Relative tolerance above which a step may be as wrong as it is long.
 LOOSEST = 0.1
@@ -125,7 +125,7 @@ def _integrated(
     # a batch of starts must have no tolerances of its members' own, which lanes share
     rtol, atol = (jnp.where(jnp.isfinite(x), x, LOOSEST) for x in (rtol, atol))
     dt0 = None if dt0 is None else jnp.where(jnp.isfinite(dt0), dt0, 1.0)
-    sizes = jax.lax.stop_gradient(pack(plan.problem.sizes(start)))
+    sizes = jax.lax.stop_gradient(coarse(pack(plan.problem.sizes(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
     fixed_events = jax.lax.stop_gradient(events)

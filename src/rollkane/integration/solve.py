@@ -35,6 +35,7 @@ from .step_control import (
     LandOn,
     Number,
     ReplaySteps,
+    coarse,
     first_step,
     landings,
 )
@@ -215,7 +216,7 @@ def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
     if dt0 is not None:
         return dt0
     span = times[-1] - times[0]
-    dt0 = first_step(plan.problem.quickness(unpack(y0, like)), span)
+    dt0 = coarse(first_step(plan.problem.quickness(unpack(y0, like)), span))
     return jnp.where(jnp.isfinite(dt0), dt0, 1.0)  # a NaN would never end the loop
 
 

@@ -296,6 +296,15 @@ class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any
         return True, start, following, jumped, number + 1, result
 
 
+def coarse(size: Array) -> Array:
+    """A size within 2^-17: which one is chosen by it must not hang on its last bits.
+
+    Processors and GPUs, which round sums otherwise, so take the same steps.
+    """
+    exponent = jnp.finfo(size.dtype).nexp
+    return jax.lax.reduce_precision(size, exponent_bits=exponent, mantissa_bits=16)
+
+
 def first_step(
     angular_velocity: Float[Array, "3"], span: Float[Array, ""]
 ) -> Float[Array, ""]:

@@ -30,7 +30,7 @@ from ..dynamics.scene import Scene
 from ..integration.event_search import layout_of, values_of
 from ..integration.integrate import tolerances
 from ..integration.solve import unbroken_numbers
-from ..integration.step_control import first_step, landings, stops_of
+from ..integration.step_control import coarse, first_step, landings, stops_of
 from ..kinematics.base_motion import ready_for_runs
 from ..kinematics.coordinates import pack, unpack
 from ..validation.codes import NO_FAULT, first_fault, is_stuck
@@ -317,9 +317,9 @@ def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple[Array, ...
     y = pack(start)
     # a start that is not finite ends at once, by its code
     y = jnp.where((fault == NO_FAULT) & jnp.all(jnp.isfinite(y)), y, 0.0)
-    step = first_step(start.angular_velocity, span)
+    step = coarse(first_step(start.angular_velocity, span))
     step = jnp.where(jnp.isfinite(step), step, 1.0)
-    return y, pack(error_sizes(start)), step, fault, code
+    return y, coarse(pack(error_sizes(start))), step, fault, code
 
 
 @eqx.filter_jit
