@@ -15,10 +15,14 @@ static void run_block(void *job, long part) {
     Results out = all->out;
     q.count = q.count - first < all->block ? q.count - first : all->block;
     q.starts += first * N, q.atol += first * N, q.own += first * OWN;
-    q.first_steps += first;
+    q.first_steps += first, q.longest += first;
     out.y += first * q.outputs * N, out.final_y += first * N, out.told += first * TOLD;
 #if EVENTS
     out.moments += first * EVENT_CAPACITY * (1 + N);
+#endif
+#if RECORD
+    out.record += first * (q.max_steps + 1);
+    out.kept += first * (q.max_steps / BETWEEN + 1) * N;
 #endif
     if (q.stops) integrate(&q, &out);
     else stand_still(&q, &out);
@@ -39,7 +43,7 @@ static void run_batch(const Call *call, long b) {
 }
 
 void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 2, 2, 2, 1, 1, 1, 1, 1};
+    static const int axes[] = {1, 2, 2, 2, 1, 1, 1, 1, 1, 1};
     Call call;
     if (!received(frame, axes, 3, &call)) return NULL;
     for (long b = 0; b < call.batch; b++) run_batch(&call, b); /* of a batch of batches */

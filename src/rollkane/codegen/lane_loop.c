@@ -7,8 +7,8 @@
  * Every lane has a time and a step of its own. One that reaches a stop writes its output
  * and goes on; one that ends takes the next motion of the queue. The steps are those of
  * diffrax's explicit Runge-Kutta methods under its default controller. Time runs forwards
- * in the loop. With RECORD, of one lane, states are kept every BETWEEN steps. With EVENTS
- * steps end on them (event_search.c), and lanes may stop there.
+ * in the loop. With RECORD it is kept where steps began, and states of every BETWEEN steps.
+ * With EVENTS steps end on them (event_search.c), and lanes may stop there.
  *
  * On a GPU (ON_DEVICE) a thread has one lane, and all take from one queue.
  */
@@ -27,8 +27,9 @@ typedef struct {
     const real *first_steps; /* [count] */
     const real *ends, *begins;
     const int64_t *slots;    /* [stops] */
-    real time, rtol, dtmin, dtmax, sense; /* 1, or -1 where time runs backwards */
+    real time, rtol, dtmin, sense; /* 1, or -1 where time runs backwards */
     int64_t max_steps;
+    const real *longest;     /* [count] steps; NULL: of any length */
 #if ON_DEVICE
     Taken *taken;            /* how many of them are */
     const int32_t *order;    /* in which they are; NULL: their own */
@@ -46,7 +47,8 @@ typedef struct {
     real *moments;           /* [count][EVENT_CAPACITY][1 + N]: when, and states there */
 #endif
 #if RECORD
-    real *record, *kept;     /* where steps began, the last one ended; [..][N] */
+    real *record; /* [count][max_steps + 1]: where steps began, and the last one ended */
+    real *kept;   /* [count][max_steps / BETWEEN + 1][N] */
 #endif
 } Results;
 
@@ -65,7 +67,7 @@ typedef struct {
 } Prepared;
 
 typedef struct {
-    row t, t_end, wanted, goal, y[N], k[N], atol[N], own[OWN ? OWN : 1];
+    row t, t_end, wanted, longest, goal, y[N], k[N], atol[N], own[OWN ? OWN : 1];
     mask running, failed;
     int64_t steps[LANES], rejected[LANES];
     long motion[LANES], stop[LANES];
@@ -165,12 +167,15 @@ INLINE mask events_known(const Lanes *a, const row *seen) {
 }
 #endif
 
-/* Record where the next step of an only lane begins. */
-INLINE void note(const Queue *q, const Results *out, const Lanes *a) {
+/* Record where a lane's next step begins. */
+INLINE void note(const Queue *q, const Results *out, const Lanes *a, int l) {
 #if RECORD
-    const int64_t n = a->steps[0];
-    out->record[n] = q->sense * a->t;
-    if (n % BETWEEN == 0) memcpy(out->kept + n / BETWEEN * N, a->y, sizeof a->y);
+    const int64_t n = a->steps[l];
+    const long i = a->motion[l];
+    out->record[i * (q->max_steps + 1) + n] = q->sense * LANE(a->t, l);
+    if (n % BETWEEN) return;
+    real *kept = out->kept + (i * (q->max_steps / BETWEEN + 1) + n / BETWEEN) * N;
+    for (int c = 0; c < N; c++) kept[c] = LANE(a->y[c], l);
 #endif
 }
 
@@ -217,15 +222,17 @@ static int take(const Queue *q, const Results *out, Lanes *a, int l, long *ahead
     a->motion[l] = next;
     if (next < 0) return 0;
     const real first = q->first_steps[next];
+    const real longest = q->longest ? q->longest[next] : (real)INFINITY;
     LANE(a->t, l) = q->time;
-    LANE(a->wanted, l) = first < q->dtmax ? first : q->dtmax;
+    LANE(a->wanted, l) = first < longest ? first : longest;
+    LANE(a->longest, l) = longest;
     for (int c = 0; c < N; c++) {
         LANE(a->y[c], l) = q->starts[next * N + c];
         LANE(a->atol[c], l) = q->atol[next * N + c];
     }
     for (int c = 0; c < OWN; c++) LANE(a->own[c], l) = q->own[next * OWN + c];
     clear(q, out, next);
-    note(q, out, a);
+    note(q, out, a, l);
 #if EVENTS
     a->search[l] = no_search(q->time);
     LANE(a->begun, l) = YES;
@@ -251,7 +258,7 @@ static int visit(const Queue *q, const Results *out, Lanes *a, int l, long *ahea
             fresh = q->begins[stop] != LANE(a->t, l);
             LANE(a->t, l) = q->begins[stop];
             a->stop[l] = stop + 1;
-            note(q, out, a);
+            note(q, out, a, l);
         }
     }
     if (ended) {
@@ -346,7 +353,7 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
             const row least = choose_row(kept, splat(1), splat((real)0.2));
             const row most = choose_row(kept, splat(10), splat((real)0.9));
             factor = min_row(max_row(factor, least), most);
-            row dt = min_row(h * factor, splat(q->dtmax));
+            row dt = min_row(h * factor, a.longest);
 #if EVENTS /* a step that ends on one may be as short as it has to be */
             mask small = not_row(good) & (h * (real)0.2 < q->dtmin);
             for (int e = 0; e < EVENTS; e++) small |= a.value[e] != a.value[e];
@@ -373,8 +380,8 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
                 const int spent = a.steps[l] + a.rejected[l] >= q->max_steps || over;
                 const int arrived = LANE(landed, l) && a.stop[l] + 1 >= q->stops;
                 LANE(out_of_steps, l) = spent && !arrived ? YES : 0;
+                if (LANE(go, l)) note(q, out, &a, l);
             }
-            if (any(go)) note(q, out, &a);
 #if EVENTS
             dt = choose_row(looks, a.wanted, dt);
 #endif

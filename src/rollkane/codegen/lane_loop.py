@@ -206,7 +206,7 @@ class LaneLoop:
         asked = _queue_type(self._real)(
             *(len(queue.starts), stops.outputs, len(slots)),
             *(x.ctypes.data for x in (*reals, slots)),
-            *(queue.time, queue.rtol, queue.dtmin, math.inf, queue.sense),
+            *(queue.time, queue.rtol, queue.dtmin, queue.sense),
             queue.max_steps,
         )
         places = [x.ctypes.data for x in results]
@@ -221,6 +221,7 @@ def _queue_type(real: Any) -> Any:
         (name, ctypes.c_long) for name in ("count", "outputs", "stops")
     ]
     fields += [(f"array_{i}", ctypes.c_void_p) for i in range(8)]
-    fields += [(name, real) for name in ("time", "rtol", "dtmin", "dtmax", "sense")]
-    fields.append(("max_steps", ctypes.c_int64))
+    fields += [(name, real) for name in ("time", "rtol", "dtmin", "sense")]
+    # of any length here: NULL
+    fields += [("max_steps", ctypes.c_int64), ("longest", ctypes.c_void_p)]
     return type("Queue", (ctypes.Structure,), {"_fields_": fields})

@@ -2,8 +2,8 @@
  * text: buffers.h and lane_loop.c.
  */
 
-enum { SHARED_AT, OWN_AT, Y_AT, ATOL_AT, FIRST_AT, NUMBERS_AT, ENDS_AT, BEGINS_AT,
-       TIMES_AT, ORDER_AT };
+enum { SHARED_AT, OWN_AT, Y_AT, ATOL_AT, FIRST_AT, LONGEST_AT, NUMBERS_AT, ENDS_AT,
+       BEGINS_AT, TIMES_AT, ORDER_AT };
 
 /* That of a member of a batch: so many motions, whose stops are yet to be settled. */
 static Queue queue_of(const Call *call, long b, long count) {
@@ -17,13 +17,13 @@ static Queue queue_of(const Call *call, long b, long count) {
         .shared = member(call, SHARED_AT, b),
         .atol = member(call, ATOL_AT, b),
         .first_steps = member(call, FIRST_AT, b),
+        .longest = member(call, LONGEST_AT, b),
         .ends = member(call, ENDS_AT, b),
         .begins = member(call, BEGINS_AT, b),
         .slots = NULL,
         .time = numbers[0],
         .rtol = numbers[2],
         .dtmin = numbers[3],
-        .dtmax = numbers[5],
         .sense = numbers[1],
         .max_steps = (int64_t)numbers[4],
     };
@@ -58,7 +58,7 @@ static void stand_still(const Queue *q, const Results *out) {
         told[4 + EVENTS] = -1;
 #endif
 #if RECORD
-        out->record[0] = q->sense * q->time;
+        out->record[i * (q->max_steps + 1)] = q->sense * q->time;
 #endif
         for (int c = 0; c < N; c++) out->final_y[i * N + c] = q->starts[i * N + c];
     }

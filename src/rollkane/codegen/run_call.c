@@ -17,7 +17,7 @@ static void run_member(void *job, long b) {
 }
 
 void *called_by_xla(const CallFrame *frame) {
-    static const int axes[] = {1, 1, 1, 1, 1, 1, 1, 1, 1};
+    static const int axes[] = {1, 1, 1, 1, 1, 1, 1, 1, 1, 1};
     Call call;
     if (!received(frame, axes, 2, &call)) return NULL;
     in_parallel(run_member, &call, call.batch);

@@ -78,9 +78,9 @@ class Ended(NamedTuple):
 
 
 # of a loop's arguments: first states, first steps, and ends of steps
-_STARTS, _FIRST_STEPS, _ENDS = 2, 4, 6
-# a first state, its absolute tolerances and a first step
-_Start = tuple[Array, Array, Array]
+_STARTS, _FIRST_STEPS, _ENDS = 2, 4, 7
+# a first state, its absolute tolerances, the first and the longest step
+_Start = tuple[Array, Array, Array, Array]
 
 
 class RunLoop:
@@ -144,16 +144,15 @@ class RunLoop:
         ]
         looked = self._watch, self._events
         made = lanes_source(self._rates, state, like, own, zeros, *looked)
-        record = self._between if lanes == 1 else 0
         sizes = zip(like, own, strict=True)
         head = {
             "N": state.shape[0],
             "OWN": sum(math.prod(x.shape) for x, differs in sizes if differs),
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
-            "RECORD": int(record > 0),
-            "BETWEEN": record,
-            "MOST_GIVEN": 9,
+            "RECORD": int(self._between > 0),
+            "BETWEEN": self._between,
+            "MOST_GIVEN": 10,
             "MOST_RESULTS": 7,
             **made.head,
         }
@@ -165,9 +164,9 @@ class RunLoop:
             results = 3 + (self._events is not None) + 2 * head["RECORD"]
             return Kernel(
                 dtype=np.dtype(state.dtype),
-                head=tuple((head | {"ALONE": int(alone), "MOST_GIVEN": 10}).items()),
+                head=tuple((head | {"ALONE": int(alone), "MOST_GIVEN": 11}).items()),
                 parts=(*loop, "device_runs.c"),
-                axes=(1,) * 9 if alone else (1, 2, 2, 2, 1, 1, 1, 1, 1),
+                axes=(1,) * 10 if alone else (1, 2, 2, 2, *(1,) * 6),
                 results=results,
                 result_axes=2 if alone else 3,
                 spread=(_STARTS, state.shape[0]),
@@ -183,7 +182,7 @@ class RunLoop:
         """Integrate a start, with this many steps at most, rejected ones too."""
         dtype = y.dtype
         numbers = course.time * course.sense, course.sense, course.rtol, course.dtmin
-        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype), course.longest])
+        numbers = jnp.stack([*numbers, jnp.asarray(most, dtype)])
         alone = functools.partial(self._alone, most)
         call = jax.custom_batching.custom_vmap(alone)
 
@@ -197,9 +196,9 @@ class RunLoop:
         ) -> tuple[list[Array], list[bool]]:
             differs, begun, *others = batched
             loop = None
-            if not self._between and not any(others):
+            if not any(others):
                 loop = self._of_lanes(tuple(differs))
-            if loop is None:  # recorded, or at times or by tables of their own
+            if loop is None:  # at times or by tables of their own
                 axis: Callable[[bool], int | None] = lambda x: 0 if x else None
                 axes = jax.tree.map(axis, tuple(batched))
                 found = jax.vmap(alone, in_axes=axes)(leaves, start, *course)
@@ -212,11 +211,11 @@ class RunLoop:
                 own = [x.reshape(size, -1) for x, theirs in pairs if theirs]
                 own = jnp.concatenate([jnp.zeros((size, 0), dtype), *own], axis=1)
                 shared = in_one([x for x, theirs in pairs if not theirs], dtype)
-                shapes = [(size, *shape) for shape in self._shapes(course[-1])]
+                shapes = [(size, *shape) for shape in self._shapes(most, course[-1])]
                 found = loop(tuple(shapes), shared, own, *every, *course)
             return found, [True] * len(found)
 
-        start = y, course.atol, course.first_step
+        start = y, course.atol, course.first_step, course.longest
         stops = course.ends, course.begins, course.outputs
         y, final_y, told, *others = call(self._leaves, start, numbers, *stops)
         whole = told[1:].astype(int)
@@ -227,14 +226,18 @@ class RunLoop:
             return ended
         return ended._replace(happened=(moments, whole[3:-1], whole[-1]))
 
-    def _shapes(self, outputs: Array) -> list[tuple[int, ...]]:
-        """Of a motion's states at the outputs, its last one, and what is told of it."""
+    def _shapes(self, most: int, outputs: Array) -> list[tuple[int, ...]]:
+        """Of what a motion of so many steps leaves."""
         n = self._state.shape[0]
-        shapes = [(outputs.shape[-1], n), (n,)]
+        shapes: list[tuple[int, ...]] = [(outputs.shape[-1], n), (n,)]
         if self._events is None:
-            return [*shapes, (4,)]
-        layout = self._events.layout
-        return [*shapes, (5 + len(layout.ways),), (layout.capacity, 1 + n)]
+            shapes.append((4,))
+        else:
+            layout = self._events.layout
+            shapes += [(5 + len(layout.ways),), (layout.capacity, 1 + n)]
+        if self._between:
+            shapes += [(most + 1,), (most // self._between + 1, n)]
+        return shapes
 
     def _alone(
         self,
@@ -247,14 +250,11 @@ class RunLoop:
         outputs: Array,
     ) -> list[Array]:
         """One motion; in a batch one after the other."""
-        y, atol, first_step = start
-        shapes = self._shapes(outputs)
-        if self._between:
-            shapes += [(most + 1,), (most // self._between + 1, y.shape[0])]
+        y, atol, first_step, longest = start
         shared = in_one(leaves, y.dtype)
-        given = shared, shared[:0], y, atol, first_step[None]
+        given = shared, shared[:0], y, atol, first_step[None], longest[None]
         given = *given, numbers, ends, begins, outputs
-        return self._one(tuple(shapes), *given)
+        return self._one(tuple(self._shapes(most, outputs)), *given)
 
     def _of_lanes(self, differs: tuple[bool, ...]) -> XlaCall | None:
         """The loop for a batch at the same times; None: not where tables differ."""

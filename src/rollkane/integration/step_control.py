@@ -301,7 +301,7 @@ def coarse(size: Array) -> Array:
 
     Processors and GPUs, which round sums otherwise, so take the same steps.
     """
-    exponent = jnp.finfo(size.dtype).nexp
+    exponent = cast(int, jnp.finfo(size.dtype).nexp)
     return jax.lax.reduce_precision(size, exponent_bits=exponent, mantissa_bits=16)
 
 
