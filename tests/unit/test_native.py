@@ -1,6 +1,8 @@
 """The loop in C: what it can compute, and what it refuses."""
 
+import os
 import shutil
+import subprocess
 
 import diffrax as dfx
 import jax
@@ -382,7 +384,37 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
     """Then the folder for temporary files serves."""
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ROLLKANE_CACHE", str(tmp_path / "file"))
-    assert loop_of().lanes == 8
+    assert loop_of().lanes > 1
+
+
+def test_vectors_are_as_wide_as_the_compiler_serves_them():
+    """GCC keeps the parts of those wider than the processor's in memory."""
+    avx, wide, clang = (
+        b"#define " + x + b" 1\n" for x in (b"__AVX__", b"__AVX512F__", b"__clang__")
+    )
+    assert compilers._vector_of(avx) == 32
+    for macros in (b"", avx + wide, avx + clang):
+        assert compilers._vector_of(macros) == 64
+
+
+def test_the_same_bits_by_vectors_of_any_width(monkeypatch, tmp_path):
+    """Also by a compiler that knows of fewer instructions than this processor has."""
+    ends = [loop_of(lanes=n).run(queue_of(9), STOPS).final_y for n in (1, 2, 4, 8)]
+    macros = subprocess.run(
+        [*compilers.compiler_command(), "-E", "-dM", "-x", "c", os.devnull],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    if "#define __AVX512F__ 1" in macros:
+        other = tmp_path / "cc"
+        command = compilers.compiler_command()[0]
+        other.write_text(f'#!/bin/sh\nexec {command} "$@" -mno-avx512f\n')
+        other.chmod(0o755)
+        monkeypatch.setenv("CC", str(other))
+        ends.append(loop_of().run(queue_of(9), STOPS).final_y)
+    for end in ends[1:]:
+        np.testing.assert_array_equal(end, ends[0])
 
 
 def test_only_arithmetic_is_left_of_a_disc():

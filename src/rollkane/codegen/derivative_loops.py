@@ -23,7 +23,6 @@ from .runge_kutta_source import of_bearable_length, pull_source, push_source
 from .scalar_program import NotElementwiseError
 from .tableau import Weights
 
-_MOST_LANES = 8  # numbers of 8 bytes in a vector of 64
 _BUFFERS = {"MOST_GIVEN": 10, "MOST_RESULTS": 2}  # arguments and results of a loop
 
 
@@ -77,9 +76,10 @@ class TangentLoop:
             NoCompilerError: no C compiler.
         """
         made = tangents_source(rates.function, state, rates.varied)
-        # one, two, four or eight
+        # one, two, four or eight, in single precision, too
         count = changes.shape[-1]
-        lanes = self._lanes = min(_MOST_LANES, 1 << (count - 1).bit_length())
+        most = lanes_of(np.float64)
+        lanes = self._lanes = min(most, 1 << (count - 1).bit_length())
         self._varied, self._closed = rates.varied, made.closed
         head = _sizes(rates, state) | {
             "ROWS": made.functions.rows,

@@ -53,42 +53,34 @@ INLINE int any(mask m) {
 #else
 #define HAS_FMA 0
 #endif
-#ifdef __has_builtin
-#if __has_builtin(__builtin_elementwise_fma)
-#define FMA_OF_ROWS 1
-#endif
+#ifndef __has_builtin
+#define __has_builtin(name) 0
 #endif
 #if !FUSED
 #define FUSE_ONE(x, y, z) ((x) * (y) + (z))
 #else
 #define FUSE_ONE(x, y, z) C(fma)(x, y, z)
 #endif
+#if REAL_IS_DOUBLE
+#define OF_REALS(name) name##pd
+#else
+#define OF_REALS(name) name##ps
+#endif
+#define JOIN(a, b) a##b
+#define JOINED(a, b) JOIN(a, b)
+/* by GCC's names, where it has them: it compiles loops over lanes ten times slower */
 #if !FUSED || ONE_LANE
 #define FUSE_ROW(named, sign, x, y, plus, z) FUSE_ONE(sign x, y, plus z)
-#elif defined FMA_OF_ROWS
+#elif __has_builtin(__builtin_elementwise_fma)
 #define FUSE_ROW(named, sign, x, y, plus, z) __builtin_elementwise_fma(sign x, y, plus z)
-#elif BYTES == 64 && defined __AVX512F__ && REAL_IS_DOUBLE
+#elif BYTES == 64 && __has_builtin(__builtin_ia32_vfmsubpd512_mask)
 #define FUSE_ROW(named, sign, x, y, plus, z)                                           \
-    __builtin_ia32_v##named##pd512_mask(x, y, z, (unsigned char)-1, 4)
-#elif BYTES == 64 && defined __AVX512F__
+    JOINED(OF_REALS(__builtin_ia32_v##named), 512_mask)(x, y, z, (1 << LANES) - 1, 4)
+#elif BYTES == 32 && __has_builtin(__builtin_ia32_vfmsubpd256)
 #define FUSE_ROW(named, sign, x, y, plus, z)                                           \
-    __builtin_ia32_v##named##ps512_mask(x, y, z, (unsigned short)-1, 4)
-#elif BYTES == 64 && defined __FMA__ /* in halves, which compiles faster than in lanes */
-typedef real half __attribute__((vector_size(32)));
-typedef union { row all; half part[2]; } Halves;
-#if REAL_IS_DOUBLE
-#define FUSE_HALF(named, x, y, z) __builtin_ia32_v##named##pd256(x, y, z)
-#else
-#define FUSE_HALF(named, x, y, z) __builtin_ia32_v##named##ps256(x, y, z)
-#endif
-#define FUSE_ROW(named, sign, x, y, plus, z)                                           \
-    ({                                                                                 \
-        const Halves a = {x}, b = {y}, c = {z};                                        \
-        Halves r;                                                                      \
-        r.part[0] = FUSE_HALF(named, a.part[0], b.part[0], c.part[0]);                 \
-        r.part[1] = FUSE_HALF(named, a.part[1], b.part[1], c.part[1]);                 \
-        r.all;                                                                         \
-    })
+    JOINED(OF_REALS(__builtin_ia32_v##named), 256)(x, y, z)
+#elif BYTES == 16 && __has_builtin(__builtin_ia32_vfmsubpd)
+#define FUSE_ROW(named, sign, x, y, plus, z) OF_REALS(__builtin_ia32_v##named)(x, y, z)
 #else
 #define FUSE_ROW(named, sign, x, y, plus, z)                                           \
     ({                                                                                 \
