@@ -17,7 +17,6 @@ static Queue queue_of(const Call *call, long b, long count) {
         .shared = member(call, SHARED_AT, b),
         .atol = member(call, ATOL_AT, b),
         .first_steps = member(call, FIRST_AT, b),
-        .longest = member(call, LONGEST_AT, b),
         .ends = member(call, ENDS_AT, b),
         .begins = member(call, BEGINS_AT, b),
         .slots = NULL,
@@ -26,6 +25,7 @@ static Queue queue_of(const Call *call, long b, long count) {
         .dtmin = numbers[3],
         .sense = numbers[1],
         .max_steps = (int64_t)numbers[4],
+        .longest = member(call, LONGEST_AT, b),
     };
     return q;
 }
