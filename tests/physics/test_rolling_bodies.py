@@ -224,6 +224,44 @@ def test_small_oscillations_of_a_ball_in_a_rolling_shell():
 HOOP = 0.32  # m, its outer radius
 
 
+def test_first_pulls_of_an_ensemble():
+    """As of each member alone, the carrier's on the ground and the inner one's."""
+    scene = in_shell(rk.Sphere(SHELL), ball())
+    point = (0.0, SHELL * np.sin(0.1), SHELL * np.cos(0.1))
+    spins = [(k, 0.0, 0.0) for k in (0.0, 2.0, 8.0)]
+    starts = [placed(scene, LEVEL, (0.0, 0.0, 0.0), point, w=w) for w in spins]
+    together = jax.tree.map(lambda *x: jnp.stack(x), *starts)
+    times = np.linspace(0.0, 1.5, 31)
+    many = rk.ensemble(scene, together, times)
+    inner, outer = many.rolling_body(0).first_pull, many.first_pull
+    for k, start in enumerate(starts):
+        one = rk.simulate(scene, start, times)
+        # of the same states, by programs of other shapes: rounding of a cubic's zero
+        expected = one.rolling_body(0).first_pull
+        np.testing.assert_allclose(inner[k], expected, rtol=1e-12)
+        np.testing.assert_allclose(outer[k], one.first_pull, rtol=1e-12)
+    assert np.isfinite(inner).all()
+    with pytest.raises(rk.FieldError, match="ends alone"):
+        _ = many.final.rolling_body(0).first_pull
+
+
+def test_a_ratio_of_nothing_has_no_slope():
+    """A ball at rest in the bottom of a shell pulls nowhere along it."""
+
+    def last(mass):
+        inner = eqx.tree_at(lambda b: b.mass, ball(), mass)
+        scene = in_shell(rk.Sphere(0.28, inside=True), inner)
+        still = (0.0, 0.0, 0.0)
+        start = placed(scene, LEVEL, still, (0.0, 0.0, -0.28), w=still)
+        run = rk.simulate(scene, start, [0.0, 0.2])
+        return run.rolling_body(0).friction_ratio[-1]
+
+    # what is left of a force of 10 N without a part along the surface is its rounding
+    value, slope = jax.value_and_grad(last)(jnp.asarray(1.0))
+    assert abs(value) < 1e-14
+    assert abs(slope) < 1e-14
+
+
 @pytest.mark.parametrize("inner", ["ball", "cylinder"])
 def test_small_oscillations_in_a_rolling_hoop(inner):
     """A ball, or a cylinder by its rim, in a hoop that stands on its edge and rolls.

@@ -75,3 +75,23 @@ def test_members_are_made_by_what_their_function_reads_now(monkeypatch):
     monkeypatch.setitem(globals(), "SPINS", np.array([10.0, 20.0]))
     np.testing.assert_array_equal(spins(members_of(SCENE, spinning, 2)), [10.0, 20.0])
     np.testing.assert_array_equal(spins(first), [1.0, 2.0])
+
+
+def test_functions_of_others_can_be_given():
+    """Of a surface, a motion, a Kane system; with parameters of theirs, or others."""
+    u = jnp.asarray([1.0, 2.0])
+    height = lambda graph: graph.point(u)[2]
+    bare = rk.Graph(lambda x, y: 0.1 * x * x)
+    graph = rk.Graph(lambda x, y, p: p * x * x, parameters=0.3)
+    assert height(rk.Graph(bare.f)) == height(bare) == 0.1
+    assert height(rk.Graph(graph.f)) == height(graph) == 0.3
+    assert height(rk.Graph(graph.f, parameters=0.5)) == 0.5
+    moves = rk.BaseMotion(lambda t: jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t]))
+    again = rk.BaseMotion(moves.position)
+    t = jnp.asarray(0.3)
+    np.testing.assert_array_equal(again.at(t).position, moves.at(t).position)
+    free = rk.kane.free_bodies([1.0], [0.004 * np.eye(3)]).system
+    same = rk.kane.KaneSystem(7, 6, free.kinematics, free.parts, free.loads)
+    q = jnp.asarray([0.1, 0.2, 0.3, 1.0, 0.0, 0.0, 0.0])
+    given = t, q, jnp.arange(6.0), None
+    np.testing.assert_array_equal(same.kinematics(*given), free.kinematics(*given))

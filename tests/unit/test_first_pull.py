@@ -7,6 +7,7 @@ import pytest
 
 import rollkane as rk
 from rollkane.simulation.first_pull import first_pull
+from rollkane.simulation.samples import Axis
 
 LEVEL, ORIGIN = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 TIMES = jnp.linspace(0.0, 2.0, 6)
@@ -28,7 +29,8 @@ def test_it_moves_with_the_force(derivative, mass, expected):
         scene = rk.Scene(rk.Body(m, 0.004 * m * np.eye(3), rk.Sphere(0.1)))
         start = rk.place(scene, LEVEL, ORIGIN, ORIGIN)
         many = lambda x: jnp.broadcast_to(x, (6, *x.shape)).at[5:].set(jnp.nan)
-        return first_pull(press, TIMES, scene, jax.tree.map(many, start))
+        states, along = jax.tree.map(many, start), Axis(None, 0, of_times=True)
+        return first_pull(press, scene, TIMES, states, (along,))
 
     m = jnp.asarray(mass)
     found = first(m)

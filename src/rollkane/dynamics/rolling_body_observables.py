@@ -11,7 +11,15 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import multiply, quaternion_of
-from ..geometry.small_linear import components, cross, dot, matmul, matvec, norm
+from ..geometry.small_linear import (
+    components,
+    cross,
+    dot,
+    matmul,
+    matvec,
+    norm,
+    safe_norm,
+)
 from ..kinematics.contact import Contact
 from .abstract_supported import rolling_parts
 from .carried import Pairing
@@ -214,4 +222,4 @@ class OfRollingBody(eqx.Module):
         press = -dot(force, out)
         if self.name == "normal_force":
             return press
-        return norm(force + press * out) / press
+        return safe_norm(force + press * out) / press

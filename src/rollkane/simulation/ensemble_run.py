@@ -34,9 +34,10 @@ from .ensemble_members import Members, OfLeaf, by_axis, members_of
 from .ensemble_result import Ensemble
 from .event_record import EventRecord, events_in_modes, events_of, record_of
 from .lane_blocks import LaneBlocks, NotForLanesError
-from .motion import Axis, Observable, Samples, evaluated
+from .motion import Observable, evaluated
 from .run import simulate
 from .run_checks import check_span, check_start
+from .samples import Axis, Samples
 from .trajectory import Trajectory
 
 # what a block's states may take [bytes]

@@ -6,42 +6,72 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..codegen.compile_effort import for_one_call
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
+from ..hybrid.modes import ModedState
+from ..validation.checks import FieldError
+from .samples import Axis, Samples, over_axes
 from .unreached_outputs import of_reached
 
 _Press = Callable[[Scene, Array, Any], Array]
 
 
+def first_pull_of(samples: Samples, press: _Press) -> Any:
+    """When a normal force would first have to pull [s], by motion; NaN: it never does.
+
+    Args:
+        samples: Of a motion or of many.
+        press: The force [N], of a scene, a time and a state.
+
+    Raises:
+        FieldError: states at one time, or of runs with modes.
+    """
+    if not samples.axes[-1].of_times:
+        problem, remedy = "asks for motions", "ask the ensemble itself"
+        raise FieldError("first_pull", "ends alone", problem, remedy)
+    if isinstance(samples.state, ModedState):
+        problem = "asks for motions that go on where the contact would have to pull"
+        remedy = "look at the runs' modes, or leave modes out"
+        raise FieldError("first_pull", "runs with modes", problem, remedy)
+    found = first_pull(press, *samples)
+    known = all(isinstance(x, np.ndarray) for x in jax.tree.leaves(samples.state))
+    return np.asarray(found) if known else found
+
+
 @for_one_call
-def first_pull(press: _Press, time: Array, scene: Scene, state: Any) -> Array:
+def first_pull(
+    press: _Press, scene: Scene, time: Array, state: Any, axes: tuple[Axis, ...]
+) -> Array:
     """When a normal force is first not positive [s]; NaN where it never is.
 
     Found between outputs on the cubic through values and slopes of the force.
 
     Args:
         press: The force [N], of a scene, a time and a state.
-        time: [s], shape (T,); a batch in front is allowed, of everything.
         scene: What moved.
+        time: [s].
         state: States at the times.
+        axes: Of them, as of :class:`Samples`; the last is that of the times.
     """
-    if time.ndim > 1:
-        own = functools.partial(first_pull, press)
-        return jax.vmap(own)(time, scene, state)
 
-    def one(x: tuple[Array, Any]) -> tuple[Array, Array]:
-        """The force [N], and its rate along the motion [N/s]."""
-        t, state = x
-        rates = rolling_derivative(scene, t, state)
-        force: Callable[[Array, Any], Array] = lambda t, s: press(scene, t, s)
-        return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
+    def of_one(scene: Scene, time: Array, state: Any) -> Array:
+        def one(x: tuple[Array, Any]) -> tuple[Array, Array]:
+            """The force [N], and its rate along the motion [N/s]."""
+            t, state = x
+            rates = rolling_derivative(scene, t, state)
+            force: Callable[[Array, Any], Array] = lambda t, s: press(scene, t, s)
+            return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
 
-    # one state after the other: mapped over all, it takes four times as long to compile
-    known = of_reached(lambda state: jax.lax.map(one, (time, state)), state)
-    return _first_fall(time, *cast(tuple[Array, Array], known))
+        # one state after the other: mapped over all, it compiles four times as long
+        known = of_reached(lambda state: jax.lax.map(one, (time, state)), state)
+        return _first_fall(time, *cast(tuple[Array, Array], known))
+
+    axes, count = axes[:-1], state.angular_velocity.ndim - 2
+    return over_axes(of_one, scene, axes, count)(scene, jnp.asarray(time), state)
 
 
 def _first_fall(time: Array, values: Array, slopes: Array) -> Array:

@@ -7,7 +7,8 @@ from jaxtyping import Array, Float
 from ..dynamics.abstract_supported import rolling_parts
 from ..dynamics.rolling_body_observables import OfRollingBody
 from ..validation.checks import FieldError
-from .first_pull import first_pull
+from .first_pull import first_pull_of
+from .samples import Samples
 
 
 class _Motion(Protocol):
@@ -25,7 +26,7 @@ class RollingBodyResult:
             that roll on that one, and so on.
     """
 
-    def __init__(self, motion: _Motion, samples: Any, path: tuple[int, ...]):
+    def __init__(self, motion: _Motion, samples: Samples, path: tuple[int, ...]):
         """Look at one body.
 
         Args:
@@ -106,7 +107,9 @@ class RollingBodyResult:
     def first_pull(self) -> Float[Array, ""]:
         """When its contact would first have to pull [s]; NaN where it never does.
 
-        Of one motion; the contact is bilateral and the motion runs on.
+        The contact is bilateral and the motion runs on.
+
+        Raises:
+            FieldError: of ends alone.
         """
-        scene, time, state, _ = self._samples
-        return first_pull(OfRollingBody("normal_force", self.path), time, scene, state)
+        return first_pull_of(self._samples, OfRollingBody("normal_force", self.path))

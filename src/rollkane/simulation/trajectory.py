@@ -10,7 +10,6 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..dynamics import observables
 from ..dynamics.diagnosis import first_not_finite
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, ModedState, Switches
@@ -19,8 +18,8 @@ from ..validation.checks import is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, outcome_of
 from ..validation.shown import described, in_a_line
 from .event_record import EventRecord
-from .first_pull import first_pull
-from .motion import AbstractMotion, Axis, Samples
+from .motion import AbstractMotion
+from .samples import Axis, Samples
 
 
 @jax.tree_util.register_dataclass
@@ -83,7 +82,9 @@ class Trajectory(AbstractMotion):
         return eqx.tree_equal(self, other)
 
     def _samples(self) -> Samples:
-        return Samples(self.scene, self.time, self.state, (Axis(None, 0),))
+        return Samples(
+            self.scene, self.time, self.state, (Axis(None, 0, of_times=True),)
+        )
 
     @property
     def reason(self) -> str:
@@ -105,16 +106,10 @@ class Trajectory(AbstractMotion):
 
     @property
     def first_pull(self) -> Float[Array, ""]:
-        """When the contact would first have to pull [s]; NaN where it never does.
-
-        The contact is bilateral and the motion runs on. The time is found between
-        outputs on the cubic through values and slopes of the normal force, so its
-        error falls with the fourth power of the distance of the outputs. It is
-        differentiable.
-        """
+        """As of any motion; with modes, when the contact was first lost [s]."""
         if self.switches is not None:
             return self.switches.first_lift
-        return first_pull(observables.normal_force, self.time, self.scene, self.state)
+        return super().first_pull
 
     def to_xarray(self) -> Any:
         """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""

@@ -55,7 +55,7 @@ class UserFunction(eqx.Module):
         Args:
             field: Name used in errors, for example ``Graph.f``.
             function: Takes its coordinates one by one or as one array of shape
-                (count,), then the parameters.
+                (count,), then the parameters; or another owner's function.
             count: How many coordinates there are.
             parameters: Tree of numbers, or None for a function without.
             of_array: Only the form with one array, whatever the count; parameters
@@ -72,14 +72,10 @@ class UserFunction(eqx.Module):
             )
         self.parameters = as_floats(parameters)
         takes = int(parameters is not None)
-        forms = [(count, takes), (1, takes)]
-        if of_array:
-            forms = [(1, takes), (1, 1 - takes)]
-        elif not takes:  # a function of (coordinates, parameters) that needs none
-            forms += [(count, 1), (1, 1)]
-        for arguments, extra in forms:
+        for arguments, extra in _forms(function, count, takes, of_array):
             if accepts(function, arguments + extra):
-                self._spread = arguments == count and not of_array
+                as_one = of_array or isinstance(function, UserFunction)
+                self._spread = arguments == count and not as_one
                 self._takes_parameters = bool(extra)
                 break
         else:
@@ -161,6 +157,19 @@ class UserFunction(eqx.Module):
         return value
 
 
+def _forms(
+    function: Callable[..., Any], count: int, takes: int, of_array: bool
+) -> list[tuple[int, int]]:
+    """How many arguments it may take for its coordinates, and for parameters."""
+    if of_array:
+        return [(1, takes), (1, 1 - takes)]
+    if isinstance(function, UserFunction):  # which has its own, or takes others
+        return [(1, takes)]
+    # one of (coordinates, parameters) may need none
+    further = [] if takes else [(count, 1), (1, 1)]
+    return [(count, takes), (1, takes), *further]
+
+
 def _call(
     function: Callable[..., Array],
     spread: bool,
@@ -212,7 +221,9 @@ class GivenFunction(eqx.Module):
                 f"give a function of {meaning}, and of the parameters if it needs them",
             )
         count = len(example)
-        self._takes_more = not accepts(function, count)  # defaults are the user's own
+        # defaults are the user's own; another owner's leaves out what it does not want
+        others = isinstance(function, GivenFunction)
+        self._takes_more = others or not accepts(function, count)
         if self._takes_more and not accepts(function, count + 1):
             raise FieldError(
                 field,
