@@ -45,6 +45,24 @@ def test_alone_and_in_a_batch(name, solver):
     assert_same(jax.tree.map(lambda *x: np.stack(x), *alone), batch)
 
 
+@pytest.mark.parametrize("name", ["ball in a bowl", "rattleback"])
+def test_of_a_scene_that_is_known_or_not(name):
+    # what is multiplied by a known zero is left out of the program
+    if name == "rattleback":
+        scene, start = problems.rattleback()
+    else:
+        body = rk.Body(1.0, np.diag([4e-3, 5e-3, 6e-3]), rk.Sphere(0.1), (0, 0, 0.02))
+        scene = rk.Scene(body, rk.Base(rk.Sphere(1.0, inside=True)))
+        turned = (0.8, 0.6, 0.0, 0.0)
+        start = rk.place(scene, turned, (1.0, 2.0, -3.0), (0.36, 0.48, -0.8))
+    one = lambda scene, start: told(rk.simulate(scene, start, TIMES))
+    known = one(scene, start)
+    assert_same(known, jax.jit(one)(scene, start))
+    three = jax.tree.map(lambda x: jnp.stack([x] * 3), (scene, start))
+    every = rk.ensemble(*three, TIMES, scene_axes=0)
+    assert_same(jax.tree.map(lambda x: np.stack([x] * 3), known), told(every))
+
+
 def test_with_events():
     problem = problems.disc(6.0)
     turned = rk.Event(lambda scene, t, state: state.angular_velocity[0], name="turned")

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 # of functions of rows.h: x y + z, x y - z, z - x y, -x y - z
 FUSED = frozenset({"fma", "fms", "fnma", "fnms"})
+SUMS = frozenset({"add", "add_any", "sub"})
 _ADDED = {False: "fma", True: "fnma"}  # of a product, by whether it is a negative one
 _TAKEN = {False: "fnma", True: "fma"}
 _LESSENED = {False: "fms", True: "fnms"}
@@ -41,12 +42,16 @@ class Products:
             if product is not None:
                 self._of[text] = product._replace(negative=not product.negative)
 
+    def holds(self, x: Any) -> bool:
+        """Whether a number is a product."""
+        return self._product(x) is not None
+
     def fused(self, name: str, operands: list[Any]) -> tuple[str, list[Any]]:
         """An operation: fused with a product that it adds or subtracts, if it does.
 
         Of two products the second, as the first was there before.
         """
-        if name not in ("add", "add_any", "sub"):
+        if name not in SUMS:
             return name, operands
         first, second = map(self._product, operands)
         if second is not None:

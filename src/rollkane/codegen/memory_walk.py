@@ -49,6 +49,9 @@ class MemoryWalk(Walk):
     ) -> Number:
         if dtype.kind == "f" and dtype != self.dtype:
             raise NotElementwiseError(f"numbers of {dtype}")
+        if name == "copy":
+            (x,) = operands
+            return self.writer.copy(x) if self._products.holds(x) else x
         if dtype.kind == "f":
             name, operands = self._products.fused(name, operands)
         text = expression(name, params, operands, dtype)

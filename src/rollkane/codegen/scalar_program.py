@@ -26,6 +26,7 @@ from .data_movement import (
     numbers_of,
     refuse_keys,
 )
+from .fused import SUMS
 from .jaxpr_types import ClosedJaxpr, Equation, Jaxpr, Params, Variable, numbers_in
 from .known_numbers import KNOWN, SHORTCUTS, of_known
 from .tracing import becoming_c
@@ -102,7 +103,8 @@ class Program:
             values: Arrays of objects: NumPy scalars where known, else whatever
                 ``operate`` understands.
             operate: ``operate(name, params, operands, dtype)`` -> a value: one of
-                XLA's operations on numbers, of which at least one is not known.
+                XLA's operations on numbers, of which at least one is not known;
+                ``"copy"``: a sum of it and zero.
             closed: Numbers of what it closes over; None: of those arrays.
 
         Raises:
@@ -234,6 +236,9 @@ class Walk:
         if all(known):
             return of_known(name, params, operands, dtype)
         short = SHORTCUTS[name](*operands) if name in SHORTCUTS else None
+        # a sum with zero is one whether the zero is known or not
+        if name in SUMS and any(short is x for x in operands):
+            return self.operate("copy", {}, [short], dtype)
         if short is not None:
             return short
         return self.operate(name, params, operands, dtype)

@@ -33,6 +33,7 @@ ARITHMETIC = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "div": "/"}
 COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 _LOGICAL = {"and": "&", "or": "|"}
 FORMULAS = {
+    "copy": "{0}",  # a sum with nothing, no product any more
     "neg": "-{0}",
     "square": "{0} * {0}",
     "one_minus_square": "((real)1 + {0}) * ((real)1 - {0})",
@@ -111,6 +112,8 @@ class Statements:
         if name == "lookup":
             return self._looked_up(*operands)
         real = not truth and not whole
+        if name == "copy" and not self._products.holds(operands[0]):
+            return operands[0]
         if real:
             name, operands = self._products.fused(name, operands)
         known = [x for x in operands if isinstance(x, Symbol)]
