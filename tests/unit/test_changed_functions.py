@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import rollkane as rk
 from rollkane.simulation.ensemble_members import members_of
@@ -86,6 +87,8 @@ def test_functions_of_others_can_be_given():
     assert height(rk.Graph(bare.f)) == height(bare) == 0.1
     assert height(rk.Graph(graph.f)) == height(graph) == 0.3
     assert height(rk.Graph(graph.f, parameters=0.5)) == 0.5
+    with pytest.raises(rk.FieldError, match="signature that does not fit"):
+        rk.Graph(bare.f, parameters=0.5)
     moves = rk.BaseMotion(lambda t: jnp.stack([jnp.sin(t), 0.0 * t, 0.0 * t]))
     again = rk.BaseMotion(moves.position)
     t = jnp.asarray(0.3)

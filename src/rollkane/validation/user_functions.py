@@ -129,6 +129,11 @@ class UserFunction(eqx.Module):
         return eqx.filter_closure_convert(call, *given[: 1 + takes])
 
     @property
+    def takes_parameters(self) -> bool:
+        """Whether it is one of parameters, too."""
+        return self._takes_parameters
+
+    @property
     def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         """Of the user's function, for errors."""
         return _name(self._fixed)
@@ -164,7 +169,8 @@ def _forms(
     if of_array:
         return [(1, takes), (1, 1 - takes)]
     if isinstance(function, UserFunction):  # which has its own, or takes others
-        return [(1, takes)]
+        fits = not takes or function.takes_parameters
+        return [(1, takes)] if fits else []
     # one of (coordinates, parameters) may need none
     further = [] if takes else [(count, 1), (1, 1)]
     return [(count, takes), (1, takes), *further]
