@@ -13,8 +13,8 @@ from . import problems
 TIMES = np.array([0.0, 0.1, 0.25, 0.3])
 SCALES = np.linspace(0.9, 1.1, 40)
 # Of what XLA computes outside of runs, as records' slopes and starts, which it rounds
-# otherwise on a GPU: motions of some tens of steps make ten times as much of a
-# difference, 1e-15 of numbers up to some tens.
+# otherwise on a GPU: a hundred roundings of 1e-16 of numbers up to 31, which motions of
+# some tens of steps make ten times as much of, 3e-12; and three times that.
 ROUNDING = 1e-11
 
 

@@ -236,7 +236,8 @@ def test_first_pulls_of_an_ensemble():
     inner, outer = many.rolling_body(0).first_pull, many.first_pull
     for k, start in enumerate(starts):
         one = rk.simulate(scene, start, times)
-        # of the same states, by programs of other shapes: rounding of a cubic's zero
+        # of the same states, by programs of other shapes: a force that falls by some
+        # newtons a second, rounded to 1e-15 N, is zero within 1e-15 s of some tenths
         expected = one.rolling_body(0).first_pull
         np.testing.assert_allclose(inner[k], expected, rtol=1e-12)
     assert np.isfinite(inner).all()

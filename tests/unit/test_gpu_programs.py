@@ -32,24 +32,43 @@ def emulated(path, what):
         return pickle.load(file)
 
 
-def test_as_on_the_processor(tmp_path):
-    found, texts = emulated(tmp_path / "found.pkl", "some")
+@pytest.fixture(scope="module")
+def some_emulated(tmp_path_factory):
+    return emulated(tmp_path_factory.mktemp("emulated") / "found.pkl", "some")
+
+
+@pytest.fixture(scope="module")
+def all_emulated(tmp_path_factory):
+    return emulated(tmp_path_factory.mktemp("emulated") / "found.pkl", "everything")
+
+
+def test_as_on_the_processor(some_emulated):
+    found, texts = some_emulated
     here = gpu_runs.some()
     gpu_runs.check(here, found, exact=here)
     # two runs alone and in batches, a recorded one, its changes, and its cotangents
     # alone and in batches
     assert len(set(texts)) >= 8
+
+
+def test_a_kernel_is_compiled(some_emulated):
     _skip_without_nvrtc()
+    _, texts = some_emulated
     shortest = min((text for text in texts if "queue_of" in text), key=len)
     assert compiled(shortest, "sm_90")[0].startswith(b"\x7fELF")
 
 
 @pytest.mark.slow
-def test_all_as_on_the_processor_and_compiled(tmp_path):
-    found, texts = emulated(tmp_path / "found.pkl", "everything")
+def test_all_as_on_the_processor(all_emulated):
+    found, _ = all_emulated
     here = gpu_runs.everything()
     gpu_runs.check(here, found, exact=here)
+
+
+@pytest.mark.slow
+def test_all_kernels_are_compiled(all_emulated):
     _skip_without_nvrtc()
+    _, texts = all_emulated
     for text in set(texts):
         image, log = compiled(text, "sm_90", "--ptxas-options=-v")
         assert image.startswith(b"\x7fELF")

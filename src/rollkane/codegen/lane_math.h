@@ -3,7 +3,7 @@
 
 /* x^(-1/ORDER) for 1e-12 < x < 1e12, from what the bits of a floating point number are: its
  * logarithm to base 2 within 0.043 of a line. So the guess r is within 0.03 (1 + 1/ORDER),
- * 4 % at most, and each turn adds the first terms of r ((1 - e)^(-1/ORDER) - 1), where
+ * 5 % at most, and each turn adds the first terms of r ((1 - e)^(-1/ORDER) - 1), where
  * e = 1 - x r^ORDER: a relative error d becomes (ORDER + 1)(2 ORDER + 1)/6 d^3, below 1e-19
  * after three for the orders 2 to 8. Of a long double, whose bits are others: as it is. */
 #if ONE_LANE && BYTES > 8

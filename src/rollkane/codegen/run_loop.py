@@ -77,7 +77,8 @@ class Ended(NamedTuple):
     happened: tuple[Array, Array, Array] | None = None
 
 
-# of a loop's arguments: first states, first steps, and ends of steps
+# a loop's arguments; of them first states, first steps, and ends of steps
+_GIVEN = 10
 _STARTS, _FIRST_STEPS, _ENDS = 2, 4, 7
 # a first state, its absolute tolerances, the first and the longest step
 _Start = tuple[Array, Array, Array, Array]
@@ -152,7 +153,7 @@ class RunLoop:
             "ORDER": weights.order,
             "RECORD": int(self._between > 0),
             "BETWEEN": self._between,
-            "MOST_GIVEN": 10,
+            "MOST_GIVEN": _GIVEN,
             "MOST_RESULTS": 7,
             **made.head,
         }
@@ -161,12 +162,13 @@ class RunLoop:
         alone = lanes == 1
 
         def kernel() -> Kernel:
+            there = {"MOST_GIVEN": _GIVEN + 1}  # and an order of the motions
             results = 3 + (self._events is not None) + 2 * head["RECORD"]
             return Kernel(
                 dtype=np.dtype(state.dtype),
-                head=tuple((head | {"ALONE": int(alone), "MOST_GIVEN": 11}).items()),
+                head=(*(head | there).items(), ("ALONE", int(alone))),
                 parts=(*loop, "device_runs.c"),
-                axes=(1,) * 10 if alone else (1, 2, 2, 2, *(1,) * 6),
+                axes=(1,) * _GIVEN if alone else (1, 2, 2, 2, *(1,) * (_GIVEN - 4)),
                 results=results,
                 result_axes=2 if alone else 3,
                 spread=(_STARTS, state.shape[0]),

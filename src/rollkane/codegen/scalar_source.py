@@ -111,9 +111,9 @@ class Statements:
         truth, whole = dtype == np.bool_, np.issubdtype(dtype, np.integer)
         if name == "lookup":
             return self._looked_up(*operands)
-        real = not truth and not whole
         if name == "copy" and not self._products.holds(operands[0]):
             return operands[0]
+        real = not truth and not whole
         if real:
             name, operands = self._products.fused(name, operands)
         known = [x for x in operands if isinstance(x, Symbol)]

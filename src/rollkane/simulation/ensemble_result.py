@@ -18,7 +18,7 @@ from ..validation.codes import Fields, outcome_of
 from .ensemble_members import by_axis
 from .event_record import EventRecord
 from .motion import AbstractMotion, Observable
-from .samples import Axis, Samples
+from .samples import Axis, Samples, of_members
 from .trajectory import Trajectory
 
 _Flat: TypeAlias = tuple[list[tuple[tuple[Any, ...], Any]], Any]
@@ -74,7 +74,7 @@ class Ensemble(AbstractMotion, eqx.Module):
             problem = "was not kept, as something else was observed"
             remedy = "give keep_states=True to rollkane.ensemble"
             raise FieldError("Ensemble.state", None, problem, remedy)
-        axes = Axis(self.scene_axes, None), Axis(None, 0, of_times=True)
+        axes = of_members(self.scene_axes)
         return Samples(self.scene, self.time, self.state, axes)
 
     @property

@@ -37,7 +37,7 @@ from .lane_blocks import LaneBlocks, NotForLanesError
 from .motion import Observable, evaluated
 from .run import simulate
 from .run_checks import check_span, check_start
-from .samples import Axis, Samples
+from .samples import Samples, of_members
 from .trajectory import Trajectory
 
 # what a block's states may take [bytes]
@@ -277,7 +277,7 @@ class EnsembleRun:
         values = {name: made.pop(name) for name in (*_ENDS, *_STATES)}
         values["observed"] = None
         if self.observe is not None:
-            axes = Axis(self.scene_axes, None), Axis(None, 0)
+            axes = of_members(self.scene_axes)
             samples = Samples(scene, self.times, values["state"], axes)
             values["observed"] = evaluated(self.observe, *samples)
         if not self.keeps:

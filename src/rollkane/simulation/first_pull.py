@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
 from ..codegen.compile_effort import for_one_call
@@ -37,9 +36,7 @@ def first_pull_of(samples: Samples, press: _Press) -> Any:
         problem = "asks for motions that go on where the contact would have to pull"
         remedy = "look at the runs' modes, or leave modes out"
         raise FieldError("first_pull", "runs with modes", problem, remedy)
-    found = first_pull(press, *samples)
-    known = all(isinstance(x, np.ndarray) for x in jax.tree.leaves(samples.state))
-    return np.asarray(found) if known else found
+    return samples.as_given(first_pull(press, *samples))
 
 
 @for_one_call

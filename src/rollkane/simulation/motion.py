@@ -6,7 +6,6 @@ from typing import Any, TypeAlias, cast
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..codegen.compile_effort import for_many_numbers, for_one_call
@@ -59,8 +58,7 @@ class AbstractMotion(abc.ABC):
         samples = self._samples()
         many = samples.state.angular_velocity.size > 3 * _MANY
         values = (evaluated if many else _evaluated_once)(observable, *samples)
-        known = all(map(_is_numpy, jax.tree.leaves(samples.state)))
-        return jax.tree.map(np.asarray, values) if known else values
+        return samples.as_given(values)
 
     def rolling_body(self, *path: int) -> RollingBodyResult:
         """Motion of a body that rolls on or in the rolling body.
@@ -226,10 +224,6 @@ class AbstractMotion(abc.ABC):
     def alpha_dot(self) -> Float[Array, "T n"]:
         """Their rates [1/s], shape (T, n)."""
         return self._samples().state.alpha_dot
-
-
-def _is_numpy(x: Any) -> bool:
-    return isinstance(x, np.ndarray)
 
 
 def _evaluated(

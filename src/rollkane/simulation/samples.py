@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import jax
+import numpy as np
 
 from ..dynamics.scene import Scene
 
@@ -37,6 +38,16 @@ class Samples(NamedTuple):
     time: Any
     state: Any
     axes: tuple[Axis, ...]
+
+    def as_given(self, values: Any) -> Any:
+        """What follows from the states: NumPy arrays if they are."""
+        known = all(isinstance(x, np.ndarray) for x in jax.tree.leaves(self.state))
+        return jax.tree.map(np.asarray, values) if known else values
+
+
+def of_members(scene_axes: tuple[int | None, ...]) -> tuple[Axis, ...]:
+    """Axes of members, which differ in these arrays of the scene, and of times."""
+    return Axis(scene_axes, None), Axis(None, 0, of_times=True)
 
 
 def over_axes(
