@@ -19,6 +19,7 @@ from jax.core import eval_context
 
 from ..validation.checks import is_traced
 from ..validation.remembered import holds_no_numpy, remembered
+from .tracing import not_collecting
 
 # LLVM's optimization, and XLA's own translation of fused loops (only some releases of
 # jax know the name), take three quarters of the time of compiling.
@@ -57,6 +58,7 @@ def _on_its_own(
     function: Callable[..., Any], jit: Callable[..., Any], effort: _Effort
 ) -> Callable[..., Any]:
     """The function, compiled with an effort where it is a program of its own."""
+    function = not_collecting()(function)
     compiled = _with_effort(functools.partial(jit, function), effort)
     plain: Any = eqx.filter_jit(function)
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
@@ -160,6 +162,7 @@ def around_a_loop(
     it is first differentiated inside of another program, that traces ``function``
     itself: JAX would trace a jitted one without its derivative first, for nothing.
     """
+    function = not_collecting()(function)
     plain = jit(function)
     quick = with_little_effort(functools.partial(jit, function))
 

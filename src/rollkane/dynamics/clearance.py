@@ -23,6 +23,7 @@ from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState
 from ..kinematics.voronets import AnyState
 from ..validation.codes import Code, is_stuck
+from ..validation.remembered import of_numbers
 from .rolling import contact_of
 from .scene import Scene
 
@@ -266,7 +267,8 @@ def _least_of(
     """The lowest of the samples that are lower than those around them, and which."""
     one_by_one = lambda: jax.lax.map(value, samples, batch_size=_AT_ONCE)
     values = cast(Array, one_by_one() if searched else jax.vmap(value)(samples))
-    local = values <= jnp.min(values[_neighbours(lattice)], axis=1)
+    near = of_numbers(_neighbours, lattice)
+    local = values <= jnp.min(values[near], axis=1)
     lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
     return -lowest, chosen
 

@@ -5,7 +5,7 @@ back by ``mode_adjoint``.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +17,7 @@ from .mode_rates import Cond, Seen, not_zero, picked, plain_cond
 from .modes import HybridState, ModedState, Switches
 from .transitions import Begun, Motion
 
-# An array, and what is put into it.
-_Stored: TypeAlias = Callable[[Array, Array], Array]
+_Tree = TypeVar("_Tree")
 
 
 class Path(NamedTuple):
@@ -51,7 +50,7 @@ class Path(NamedTuple):
         dtype = y.angular_velocity.dtype
         nowhere = jnp.full((outputs, 3), jnp.nan, dtype)
         unset = ModedState(many(outputs), jnp.full(outputs, -1), nowhere)
-        first: _Stored = lambda a, x: a.at[0].set(x)
+        first: Callable[[Array, Array], Array] = lambda a, x: a.at[0].set(x)
         saved = jax.tree.map(first, unset, begun)
         none, blank = jnp.full(switches, jnp.nan, dtype), jnp.full(switches, -1)
         return Path(
@@ -72,25 +71,41 @@ class Path(NamedTuple):
     ) -> "Path":
         """With a step that ended on an output (0: on none), and on an event or not."""
         saves = output > 0
-        store: _Stored = lambda array, x: stored(array, output, saves, x)
-        saved = jax.tree.map(store, self.saved, ModedState(y, mode, direction))
+        now = ModedState(y, mode, direction)
         old = self.switches
-        put: _Stored = lambda array, x: stored(array, old.count, event, x)
-        switches = Switches(
-            put(old.time, t),
-            put(old.before, before),
-            put(old.after, mode),
-            jax.tree.map(put, old.state, y),
-            old.count + jnp.where(event, 1, 0),
+        changes = old.time, old.before, old.after, old.state
+        put = stored(changes, old.count, event, (t, before, mode, y))
+        return Path(
+            stored(self.saved, output, saves, now),
+            jnp.where(saves, output + 1, self.reached),
+            Switches(*put, old.count + jnp.where(event, 1, 0)),
         )
-        return Path(saved, jnp.where(saves, output + 1, self.reached), switches)
 
 
-def stored(array: Array, i: Int[Array, ""], where: Bool[Array, ""], x: Array) -> Array:
-    """With ``x`` in place i, if it is to be and there is one; nothing is copied."""
-    last = array.shape[0] - 1
-    at = jnp.minimum(i, last)
-    return array.at[at].set(jnp.where(where & (i <= last), x, array[at]))
+def stored(arrays: _Tree, i: Int[Array, ""], where: Bool[Array, ""], x: Any) -> _Tree:
+    """With ``x`` in place i, if it is to be and there is one; nothing is copied.
+
+    Args:
+        arrays: A tree of them, equally long.
+        i: Which place, from 0.
+        where: Whether it is to be.
+        x: The same tree, of what belongs in one place.
+    """
+    last = jax.tree.leaves(arrays)[0].shape[0] - 1
+    at, fits = jnp.minimum(i, last), where & (i <= last)
+    put: Callable[[Array, Array, Array], Array]
+    put = lambda array, x, there: jax.lax.dynamic_update_index_in_dim(
+        array, jnp.where(fits, x, there), at, 0
+    )
+    return jax.tree.map(put, arrays, x, _there(arrays, at))
+
+
+def _there(arrays: _Tree, i: Int[Array, ""]) -> _Tree:
+    """What is in place i of each."""
+    # JAX traces this once for all arrays of a shape, and arrays[i] every time
+    one: Callable[[Array], Array]
+    one = lambda x: jax.lax.dynamic_index_in_dim(x, i, keepdims=False)
+    return jax.tree.map(one, arrays)
 
 
 # Columns of a record's steps.
@@ -161,20 +176,17 @@ class Record(NamedTuple):
     ) -> "Record":
         """With an accepted step, what follows it, and what its event changed."""
         numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
-        keep: _Stored = lambda array, x: stored(array, row + 1, accept, x)
         return Record(
             stored(self.steps, row, accept, numbers),
             stored(self.changed, count, event, pack(y)),
-            jax.tree.map(keep, self.kept, following),
+            stored(self.kept, row + 1, accept, following),
         )
 
     def step(self, i: Int[Array, ""], count: Int[Array, ""]) -> "Taken":
         """A step, before which there were so many events."""
-        place: Callable[[Array], Array] = lambda x: x[i]
-        end: Callable[[Array], Array] = lambda x: x[i + 1]
-        begun, after = jax.tree.map(place, self.kept), jax.tree.map(end, self.kept.y)
-        row = self.steps[i]
-        changed = unpack(self.changed[count], after)
+        begun, after = _there(self.kept, i), _there(self.kept.y, i + 1)
+        row = _there(self.steps, i)
+        changed = unpack(_there(self.changed, count), after)
         return Taken(row, begun, picked(row[KIND] >= 0, changed, after))
 
     @property

@@ -43,8 +43,6 @@ _Forth: TypeAlias = tuple[Array, Array, OfPlace, "_Shown", "_Shown"]
 # Number of a turn, tangents along the step's end, and those found last.
 _Along: TypeAlias = tuple[Array, EndOf, EndOf]
 _INPUTS = 1  # the turn along the inputs; the one before is along the step's end
-# An array, and what is put into it.
-_Stored: TypeAlias = Callable[[Array, Array], Array]
 
 
 class _Shown(NamedTuple):
@@ -62,8 +60,7 @@ class _Shown(NamedTuple):
 
     def after(self, row: Array, where: Array, of_place: OfPlace) -> "_Shown":
         """With those of a place, if there are any."""
-        put: _Stored = lambda array, x: stored(array, row, where, x)
-        return jax.tree.map(put, self, _Shown(*of_place))
+        return stored(self, row, where, _Shown(*of_place))
 
 
 def of_place(place: Place) -> OfPlace:

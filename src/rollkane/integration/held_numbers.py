@@ -1,7 +1,5 @@
 """Numbers that calls are given again and again: what of them is found out once."""
 
-import functools
-from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import jax
@@ -9,10 +7,9 @@ import numpy as np
 from jax.core import eval_context
 from numpy.typing import NDArray
 
-_Tree = TypeVar("_Tree")
+from ..validation.remembered import of_numbers
 
-# Bytes of an array that is not remembered: 512 of them are 32 MB at most.
-_MANY = 2**16
+_Tree = TypeVar("_Tree")
 
 
 def held(tree: _Tree) -> _Tree:
@@ -22,33 +19,6 @@ def held(tree: _Tree) -> _Tree:
     are.
     """
     return jax.tree.map(_held, tree)
-
-
-def of_numbers(
-    function: Callable[..., Any], numbers: NDArray[Any], *further: Any
-) -> Any:
-    """``function(numbers, ...)``, not asked again of numbers that were there before.
-
-    Args:
-        function: Of an array that it does not change.
-        numbers: The array.
-        further: Hashable.
-    """
-    if numbers.nbytes > _MANY:
-        return function(numbers, *further)
-    form = numbers.dtype, numbers.shape
-    return _of_known(function, numbers.tobytes(), *form, further)
-
-
-@functools.lru_cache(512)
-def _of_known(
-    function: Callable[..., Any],
-    numbers: bytes,
-    dtype: np.dtype[Any],
-    shape: tuple[int, ...],
-    further: tuple[Any, ...],
-) -> Any:
-    return function(np.frombuffer(numbers, dtype).reshape(shape), *further)
 
 
 def _held(x: Any) -> Any:

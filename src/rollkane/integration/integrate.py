@@ -31,11 +31,11 @@ from ..validation.checks import (
     whole,
 )
 from ..validation.codes import NO_FAULT, first_fault
+from ..validation.remembered import of_numbers
 from .along_steps import by_steps_of
 from .differentiate import differentiable
 from .event_search import Events, Happened
 from .event_times import at_their_zeros
-from .held_numbers import of_numbers
 from .output_times import in_time, moved_in_time, not_by_times
 from .plans import Inputs, Plan, Record, Solution
 from .projection import Projected

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import norm
 from ..validation.checks import is_traced
+from ..validation.remembered import of_numbers
 from .controller_interface import (
     AbstractAround,
     AbstractController,
@@ -26,7 +27,6 @@ from .controller_interface import (
     TriedStep,
     Truth,
 )
-from .held_numbers import of_numbers
 
 
 class AboveRounding(eqx.Module):

@@ -8,6 +8,10 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
+
+# Bytes of an array that is not remembered: 512 of them are 32 MB at most.
+_MANY = 2**16
 
 _Found = TypeVar("_Found")
 
@@ -47,3 +51,30 @@ def remembered(
 def holds_no_numpy(tree: Any) -> bool:
     """Whether no number of a tree can be changed in its place."""
     return not any(isinstance(x, np.ndarray) for x in jax.tree.leaves(tree))
+
+
+def of_numbers(
+    function: Callable[..., Any], numbers: NDArray[Any], *further: Any
+) -> Any:
+    """``function(numbers, ...)``, not asked again of numbers that were there before.
+
+    Args:
+        function: Of an array that it does not change.
+        numbers: The array.
+        further: Hashable.
+    """
+    if numbers.nbytes > _MANY:
+        return function(numbers, *further)
+    form = numbers.dtype, numbers.shape
+    return _of_known(function, numbers.tobytes(), *form, further)
+
+
+@functools.lru_cache(512)
+def _of_known(
+    function: Callable[..., Any],
+    numbers: bytes,
+    dtype: np.dtype[Any],
+    shape: tuple[int, ...],
+    further: tuple[Any, ...],
+) -> Any:
+    return function(np.frombuffer(numbers, dtype).reshape(shape), *further)
