@@ -279,6 +279,33 @@ def test_runs_that_end_early_are_misfits(rates):
     assert not np.isnan(found.estimates["body.inertia"]).any()
 
 
+def test_nothing_is_predicted_where_no_run_comes_to(rates):
+    """What stands for its misfits there is for the search alone."""
+    turns = np.asarray(rk.simulate(TRUTH, START, TIMES).state.orientation)
+    both = {"gyro": rk.Gyro(noisy(rates, 15), NOISE)}
+    both["mocap"] = rk.Orientation(turns, 0.01)
+    few = {"max_steps": 5, "rtol": 1e-8}
+    record = rk.Record(TIMES, both)
+    found = rk.fit(TRUTH, START, record, rk.Free("body.mass"), **few)
+    run = rk.simulate(found.scene, found.start, TIMES, **few)
+    reached = np.asarray(run.final_time >= TIMES)
+    assert 1 < reached.sum() < len(TIMES)
+    predicted = found.predicted()
+    way = np.asarray(run.state.orientation)
+    unit = way / np.linalg.norm(way, axis=1, keepdims=True)
+    pairs = {"gyro": np.asarray(run.state.angular_velocity), "mocap": unit}
+    for name, values in pairs.items():
+        is_one = np.isfinite(predicted[name])
+        np.testing.assert_array_equal(is_one, np.isfinite(values), name)
+    # samples less misfits over their deviations, times them: some roundings of a sample
+    # and of a misfit; turns by the root of what their sines leave of 1, as good
+    for name, values in pairs.items():
+        size = np.max(np.abs(np.asarray(both[name].values)))
+        apart = np.abs(predicted[name] - values)[reached]
+        assert np.max(apart) < 32 * EPS * size, name
+    assert np.isfinite(found.residuals["gyro"]).all()
+
+
 def test_a_disc_that_falls_flat_is_a_misfit():
     disc = rk.Body(1.0, np.diag([1.0, 1.0, 2.0]) / 64.0, rk.DiscEdge(0.25))
     scene = rk.Scene(disc)

@@ -99,8 +99,10 @@ class Estimates:
     def predicted(self) -> Any:
         """What the fit predicts for the samples, by channel, as they were measured.
 
+        NaN where no sample is, and where the run with the estimates does not come to.
         Of several records a list.
         """
+        problem, z = self.problem, self.search.minimum.z
         found = [
             {
                 name: c.without(misfits[name] * np.asarray(c.sigma))
@@ -108,9 +110,7 @@ class Estimates:
                 for name, c in g.channels.items()
             }
             for groups, misfits in zip(
-                self.problem.groups,
-                self.problem.channel_misfits(self.search.minimum.z),
-                strict=True,
+                problem.groups, problem.channel_misfits(z, reached=True), strict=True
             )
         ]
         return found if len(found) > 1 else found[0]

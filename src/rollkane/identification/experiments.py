@@ -233,13 +233,21 @@ class Problem:
         return found
 
     def channel_misfits(
-        self, z: np.ndarray, horizon: float = np.inf
+        self, z: np.ndarray, horizon: float = np.inf, *, reached: bool = False
     ) -> list[dict[str, np.ndarray]]:
-        """Misfits over their deviations by record and channel, NaN where none is."""
+        """Misfits over their deviations by record and channel, NaN where none is.
+
+        Args:
+            z: Coordinates.
+            horizon: Last time of samples that count [s].
+            reached: Only of samples that runs reach; the others have what a search
+                counts them with.
+        """
         found: list[dict[str, np.ndarray]] = []
         for record in range(len(self.records)):
             at, _ = self._up_to(record, z, horizon)
-            whole = np.where(at.counted, at.misfit, np.nan)
+            is_one = at.counted & at.reached if reached else at.counted
+            whole = np.where(is_one, at.misfit, np.nan)
             found.append(_split(whole, self.groups[record]))
         return found
 

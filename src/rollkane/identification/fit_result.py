@@ -30,7 +30,8 @@ class Fit(Estimates):
         chi2: Sum of squared misfits over deviations, priors included.
         degrees_of_freedom: Samples (and priors) minus coordinates that are seen.
         residuals: Misfits over deviations by channel (of several records, a list), NaN
-            where no sample is.
+            where no sample is. A sample that the run does not come to has at least 10,
+            with which it counts.
         sigma: Standard deviations by channel [unit of its values], estimated where none
             was given.
         unseen: What the records cannot tell, in words.

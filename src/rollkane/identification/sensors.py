@@ -157,8 +157,6 @@ class Orientation(AbstractChannel):
         sine = 0.5 * misfit
         cosine = np.sqrt(np.maximum(1.0 - np.sum(sine**2, axis=1, keepdims=True), 0.0))
         back = np.concatenate([cosine, -sine], axis=1)
-        # that of a sample which no run reaches is longer than any rotation
-        back /= np.linalg.norm(back, axis=1, keepdims=True)
         found = multiply(jnp.asarray(back.T), jnp.asarray((measured / size).T))
         return np.asarray(found).T
 

@@ -27,7 +27,8 @@ def hint_of_units(problem: Problem, z: Float[np.ndarray, " P"]) -> None:
     ]
     if not gyros:
         return
-    misfits, sigmas = problem.channel_misfits(z), problem.sigmas()
+    misfits = problem.channel_misfits(z, reached=True)
+    sigmas = problem.sigmas()
     measured = [
         {name: np.asarray(c.values) for g in groups for name, c in g.channels.items()}
         for groups in problem.groups

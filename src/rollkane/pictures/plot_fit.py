@@ -122,7 +122,7 @@ def plot_fit(fit: Estimates, path: str | PathLike[str], title: str = "") -> None
 def _samples(fit: Estimates, number: int) -> Iterator[Samples]:
     """A record's channels in its order."""
     problem = fit.problem
-    misfits = problem.channel_misfits(fit.search.minimum.z)[number]
+    misfits = problem.channel_misfits(fit.search.minimum.z, reached=True)[number]
     held = {
         name: (channel, np.asarray(group.time))
         for group in problem.groups[number]
