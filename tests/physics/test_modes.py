@@ -171,6 +171,21 @@ def test_a_pushed_ball_slips_and_grips():
     np.testing.assert_allclose(v, turned, rtol=1e-8)
 
 
+def test_friction_put_in_is_that_of_sticking_too():
+    """It breaks away from 2/7 F > mu m g, F = 40 t N, by the number that is there."""
+    push = rk.Force(lambda t, point: jnp.stack([40.0 * t, 0.0 * t, 0.0 * t]))
+    scene = rk.Scene(BALL, loads=(rk.Gravity(), push))
+    start = rk.place(scene, UP, STILL, STILL)
+    made = rk.Modes(friction=0.3)
+    for mu in (0.1, 0.2):
+        modes = eqx.tree_at(lambda m: m.friction, made, jnp.asarray(mu))
+        run = rk.simulate(scene, start, [0.0, 2.5], modes=modes, rtol=1e-10)
+        slips = 3.5 * mu * MASS * G / 40.0
+        assert run.switches.count == 1
+        # found to 1e-12 s; what the run is off by then is a thousandth of rtol
+        np.testing.assert_allclose(run.switches.time[0], slips, atol=1e-10)
+
+
 @pytest.mark.slow
 def test_upright_disc_slips_and_grips():
     """Thrown along its heading, it stays upright: a balance that nothing disturbs.

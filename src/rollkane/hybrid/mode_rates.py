@@ -226,7 +226,7 @@ class ModeRates(eqx.Module):
         modes, endless = self.modes, jnp.ones_like(t)
         rates, press, pull, *_ = at_contact(self.scenes.rolling, t, y.rolling())
         grip = endless
-        if modes.static_friction is not None:
+        if modes.sticking is not None:
             grip = self._grip(press, pull)
         values = jnp.stack([grip, press if modes.lifts else endless])
         return of(rates), Seen(values, jnp.zeros_like(direction), jnp.zeros_like(t))
@@ -269,8 +269,8 @@ class ModeRates(eqx.Module):
         ``mu_s N - |T|``. A contact that may pull is held by friction as one that
         presses.
         """
-        assert self.modes.static_friction is not None
-        held, needed = self.modes.static_friction * press, dot(pull, pull)
+        assert self.modes.sticking is not None
+        held, needed = self.modes.sticking * press, dot(pull, pull)
         both = held * jnp.abs(held) if self.modes.lifts else held * held
         squared = held * held + needed
         size = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))

@@ -45,7 +45,7 @@ class Modes(eqx.Module):
 
     Attributes:
         friction: Coefficient of sliding friction [1]; None: the body never slips.
-        static_friction: Of sticking [1].
+        static_friction: Of sticking [1]; None: the same, see :attr:`sticking`.
         lifts: Whether the contact ends where it would have to pull.
         restitution: Of a landing [1]; None: nothing lands.
         rest_speed: Slower rebounds stay in contact [m/s].
@@ -98,18 +98,9 @@ class Modes(eqx.Module):
                 less than sliding, an unknown law.
         """
         self.friction = self.static_friction = self.restitution = None
+        unit = "without unit"
         if friction is not None:
-            unit = "without unit"
-            static = friction if static_friction is None else static_friction
             self.friction = not_negative("Modes.friction", friction, unit)
-            static = not_negative("Modes.static_friction", static, unit)
-            self.static_friction = refuse(
-                static,
-                static < self.friction,
-                "Modes.static_friction",
-                "is below that of sliding: a contact that grips would slip at once",
-                "give as much as friction, or more",
-            )
         elif static_friction is not None:
             raise FieldError(
                 "Modes.static_friction",
@@ -117,9 +108,18 @@ class Modes(eqx.Module):
                 "is of no use without friction: the body never slips",
                 "give friction=, too",
             )
+        if self.friction is not None and static_friction is not None:
+            static = not_negative("Modes.static_friction", static_friction, unit)
+            self.static_friction = refuse(
+                static,
+                static < self.friction,
+                "Modes.static_friction",
+                "is below that of sliding: a contact that grips would slip at once",
+                "give as much as friction, or more",
+            )
         if restitution is not None:
             self.restitution = refuse(
-                not_negative("Modes.restitution", restitution, "without unit"),
+                not_negative("Modes.restitution", restitution, unit),
                 lambda e: ~(e <= 1.0),
                 "Modes.restitution",
                 "must not be above 1: a rebound would give energy",
@@ -133,6 +133,12 @@ class Modes(eqx.Module):
             known = f"use one of {IMPACT_LAWS}"
             raise FieldError("Modes.impact", impact, "is not known", known)
         self.impact = impact
+
+    @property
+    def sticking(self) -> Float[Array, ""] | None:
+        """The coefficient of sticking [1]: that of sliding where none of its own is."""
+        # no copy of that: what varies the one number varies both
+        return self.friction if self.static_friction is None else self.static_friction
 
     @property
     def does_work(self) -> bool:

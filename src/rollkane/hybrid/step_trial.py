@@ -289,7 +289,7 @@ class Trials(eqx.Module):
         friction is left there. Else the grip was lost before, and is looked for. Of
         values that are rounding no share is known: it is the one that was looked for.
         """
-        worst, hold = jnp.argmin(share), self.motion.modes.static_friction
+        worst, hold = jnp.argmin(share), self.motion.modes.sticking
         least = -_TOGETHER * _scale(c.values)[0]
         if hold is not None:
             # grip behind the normal force's zero, where friction goes to zero with it:

@@ -202,8 +202,8 @@ class Motion(ModeRates):
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
         _, press, pull, *_ = at_contact(scene, t, y.rolling())
         mode = jnp.asarray(Mode.ROLLING)
-        if self.modes.static_friction is not None:
-            held = dot(pull, pull) <= (self.modes.static_friction * press) ** 2
+        if self.modes.sticking is not None:
+            held = dot(pull, pull) <= (self.modes.sticking * press) ** 2
             mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
         # against the friction that would be needed, of the length that says it begins
         return mode, -0.5 * pull / not_zero(safe_norm(pull)), y
