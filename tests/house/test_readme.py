@@ -68,9 +68,8 @@ LONG = ("events.md", "fit.md", "monte_carlo.md", "periodic.md", "steady.md")
 LONG += ("control.md", "distributions.md", "rolling_contacts.md")
 LONG += ("sensitivity_indices.md", "rolling-on-rolling.md")
 LONG += ("contributing.md", "ensembles.md")
-IN_ORDER = (
-    "start.md",
-)  # its programs read what its commands wrote: test_start_page.py
+# Pages whose programs go on from what was before: test_start_page.py, test_mistakes.py
+IN_ORDER = "start.md", "mistakes.md"
 PROGRAMS = {str(page.relative_to(DOCS)): page.read_text() for page in PAGES}
 PROGRAMS = {"README.md": README} | PROGRAMS
 

@@ -178,10 +178,9 @@ ROWS = {row[0]: row[1:] for row in ROW.findall(PAGE)}
 
 @pytest.fixture(scope="module")
 def names():
-    """What the page's program defines, and a scene in single precision."""
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    """What the page's programs define, and a scene in single precision."""
     found = {}
-    exec(program, found)
+    exec("".join(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)), found)
     single = lambda tree: jax.tree.map(lambda x: x.astype(jnp.float32), tree)
     both = single(found["scene"]), single(found["start"])
     found["scene32"], found["start32"] = both
@@ -217,6 +216,22 @@ def test_the_page_has_twenty_rows_and_more():
     assert len(ROWS) >= 20
     silent = {number for number, (_, happens, _) in ROWS.items() if "silent" in happens}
     assert silent == set(SILENT)
+
+
+def test_a_run_ends_where_a_function_jumps(names):
+    """F / (m + I / r^2) is the pushed ball's acceleration, which begins at 0.4 s."""
+    mass, share = 1.0, 0.004 / 0.1**2
+    # both runs are quadratic in time, their derivatives linear: some roundings of 1
+    moved = -1.0 / (mass + share) * (1.0 - 0.4)
+    np.testing.assert_allclose(names["moves"], moved, rtol=1e-14)
+    push = lambda t, at, p: jnp.stack([jnp.where(t > p, 1.0, 0.0), 0.0, 0.0])
+
+    def end_of(p):  # as the page says: silent
+        loads = rk.Gravity(), rk.Force(push, parameters=p)
+        run = rk.simulate(rk.Scene(names["ball"], loads=loads), names["start"], [0, 1])
+        return run.position[-1, 0]
+
+    assert jax.grad(end_of)(0.4) == 0.0
 
 
 @pytest.mark.parametrize("number", ROWS)
