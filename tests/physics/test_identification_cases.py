@@ -295,6 +295,20 @@ def test_the_joint_region_is_where_chi2_has_risen():
         found.contains({path: np.zeros(3)}, 1.5)
 
 
+def test_the_joint_region_reaches_far():
+    """A mass of a gram, weighed to 10 N twice: 2 (m g / 10 N)^2 is below 3.84 at 1 kg.
+
+    And above it at 2 kg, while no ball has less mass than none.
+    """
+    scene = rk.Scene(rk.Body(1e-3, 4e-3 * np.eye(3), rk.Sphere(0.1)))
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    weight = rk.NormalForce(np.full(2, 1e-3 * 9.80665), 10.0)
+    record = rk.Record([0.0, 0.1], {"weight": weight})
+    found = rk.fit(scene, start, record, rk.Free("body.mass"))
+    for mass, inside in ((1e-3, True), (1.0, True), (2.0, False), (-1.0, False)):
+        assert found.contains({"body.mass": mass}) is inside
+
+
 def test_the_joint_region_of_records_with_sensors_of_their_own():
     """Rows of a record-wise parameter are of the records that have its sensor."""
     body = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))

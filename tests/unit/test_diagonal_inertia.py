@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.identification.transforms import inertia_transform
+from rollkane.identification.inertia_transforms import inertia_transform
 
 
 @pytest.mark.parametrize(

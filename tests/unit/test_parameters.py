@@ -7,16 +7,15 @@ import pytest
 
 import rollkane as rk
 from rollkane.files.scene_files import builtin_scenes, load_scene
-from rollkane.identification.layout import Layout, known_paths
-from rollkane.identification.parameters import Model
-from rollkane.identification.transforms import (
+from rollkane.identification.inertia_transforms import (
     DiagonalInertia,
     FlatInertia,
     FullInertia,
-    Rotated,
-    Scaled,
     inertia_transform,
 )
+from rollkane.identification.layout import Layout, known_paths
+from rollkane.identification.parameters import Model
+from rollkane.identification.transforms import Plain, Positive, Rotated, Scaled
 
 from ..quick import A_FEW, slow_but
 
@@ -151,6 +150,63 @@ def test_a_quaternion_turns_by_its_coordinates(size):
     expected = np.concatenate([[np.cos(size / 2)], np.sin(size / 2) * axis])
     # the series leaves |z|^4 / 384: 3e-19 at 1e-4
     np.testing.assert_allclose(found, expected, atol=8 * EPS)
+
+
+TURN = np.array([0.8, 0.0, -0.6, 0.0])
+DISC = np.diag([1.0, 1.0, 2.0])
+TRANSFORMS = {
+    "plain": Plain(jnp.array([0.0, -3.0])),
+    "positive": Positive(jnp.array([1e-9, 2.0])),
+    "scaled": Scaled(jnp.array([0.0, -3.0])),
+    "turned": Rotated(jnp.asarray(TURN)),
+    "full": inertia_transform("I", jnp.asarray(ASKEW), None),
+    "flat": inertia_transform("I", jnp.asarray(DISC), None),
+    "diagonal": inertia_transform("I", jnp.asarray(DISC), "diagonal"),
+    "ratios": inertia_transform("I", jnp.asarray(ASKEW), "ratios"),
+}
+
+
+@pytest.mark.parametrize("name", TRANSFORMS)
+def test_every_value_has_its_coordinates(name):
+    """However far it is from the given one: factors of e^6, turns of up to 3 rad."""
+    transform = TRANSFORMS[name]
+    random = np.random.default_rng(2)
+    z0 = transform.start()
+    np.testing.assert_array_equal(transform.coordinates(transform.reference), z0)
+    for _ in range(20):
+        z = z0 + random.uniform(-1.7, 1.7, z0.size) * (1.0 if name == "turned" else 3.5)
+        value = np.asarray(transform.value(jnp.asarray(z)))
+        # second moments e^24 times each other: of the less there are left
+        # e^-24 / eps = 2e5 units, of which a few are off
+        np.testing.assert_allclose(transform.coordinates(value), z, rtol=0, atol=1e-4)
+
+
+NOWHERE = {
+    "plain": [[np.nan, 1.0], [np.inf, 1.0]],
+    "positive": [[1.0, 0.0], [-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]],
+    "scaled": [[0.0, 3.0], [0.0, 0.0], [1.0, -3.0], [np.nan, np.nan]],
+    "turned": [2.0 * TURN, np.zeros(4), np.full(4, np.nan)],
+    "full": [np.diag([1.0, 1.0, 3.0]), ASKEW + np.eye(3, k=1), -ASKEW, DISC],
+    "flat": [np.diag([1.0, 1.0, 1.9]), np.diag([1.0, 2.0, 1.0])],
+    "diagonal": [np.diag([1.0, 1.0, 3.0]), DISC + 1e-3 * np.eye(3)[::-1]],
+    "ratios": [2.0 * ASKEW, np.diag([1.0, 1.0, 3.0])],
+}
+
+
+@pytest.mark.parametrize("name", NOWHERE)
+def test_what_no_parameter_can_be_has_no_coordinates(name):
+    for value in NOWHERE[name]:
+        assert np.isnan(TRANSFORMS[name].coordinates(np.asarray(value))).all()
+
+
+def test_both_quaternions_of_a_rotation_have_its_coordinates():
+    transform = TRANSFORMS["turned"]
+    value = np.asarray(transform.value(jnp.array([0.1, 0.2, -0.3])))
+    for one in (value, -value):
+        # a few products of four terms
+        np.testing.assert_allclose(
+            transform.coordinates(one), [0.1, 0.2, -0.3], atol=32 * EPS
+        )
 
 
 def test_masses_and_lengths_stay_positive():

@@ -87,7 +87,8 @@ class Fit(Estimates):
         """Whether values of all parameters together lie in their confidence region.
 
         Where chi2 has risen by the level's quantile of chi-square, at most: right where
-        the region bends, too, unlike the ellipsoid of ``covariance``.
+        the region bends, too, unlike the ellipsoid of ``covariance``. Values that no
+        model has (a negative mass, an inertia of no body) are outside.
 
         Args:
             values: By path, all that were fitted, each in its shape [its unit].
@@ -117,7 +118,7 @@ class Fit(Estimates):
             own = np.asarray(values[entry.free.path], float)
             if entry.record is not None:  # rows are of the records that have it
                 own = own[owners[entry.free.path].index(entry.record)]
-            there[entry.where] = uncertainty.coordinates_of(entry, own, z)
+            there[entry.where] = entry.transform.coordinates(own)
         if not np.isfinite(there).all():
             return False
         at = self.problem.evaluate(there)

@@ -10,16 +10,10 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError
 from . import paths
+from .inertia_transforms import inertia_transform
 from .parameters import PLACING, Free, Model, Slot, Slots, Tied, located, number_in
 from .transform_values import TransformValues, values_at
-from .transforms import (
-    AbstractTransform,
-    Plain,
-    Positive,
-    Rotated,
-    Scaled,
-    inertia_transform,
-)
+from .transforms import AbstractTransform, Plain, Positive, Rotated, Scaled
 
 # Fields whose constructors ask for numbers above zero, by class ("": any class)
 _POSITIVE = {

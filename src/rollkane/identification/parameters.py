@@ -16,7 +16,8 @@ from ..hybrid.modes import Modes
 from ..validation.checks import FieldError, flag
 from . import paths
 from .channels import AbstractChannel
-from .transforms import FORMS, AbstractTransform
+from .inertia_transforms import FORMS
+from .transforms import AbstractTransform
 
 Bounds = tuple[ArrayLike | None, ArrayLike | None]
 Values = dict[str, Array]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jax.scipy.special import gammainc
 
-from .layout import Coordinates, Layout
+from .layout import Layout
 from .least_squares import LOSSES, Evaluation, Loss, score_moments
 
 _SQUARES = LOSSES["linear"]
@@ -164,24 +164,3 @@ def rise_of(level: float, freedom: int) -> float:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if below(middle) else (low, middle)
     return high
-
-
-def coordinates_of(entry: Coordinates, value: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Coordinates of a value of a parameter, by Newton's method from those at z.
-
-    NaN where it has none (a negative length).
-    """
-    own = z.copy()
-    goal = np.ravel(np.asarray(value, float))
-    for _ in range(50):
-        at = entry.at(own)
-        step: np.ndarray = np.linalg.pinv(at.slope) @ (goal - at.value.ravel())
-        own[entry.where] += step
-        if np.abs(step).max() <= 1e-13 * (1.0 + np.abs(own[entry.where]).max()):
-            break
-    found: np.ndarray = own[entry.where]
-    away = np.abs(goal - entry.at(own).value.ravel())
-    # as near as the last step of Newton's method allows; a value apart stays apart
-    if not np.all(away <= 1e-9 * np.abs(goal).max()):
-        return np.full_like(found, np.nan)
-    return found

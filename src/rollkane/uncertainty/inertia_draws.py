@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..dynamics.bodies import checked_inertia
-from ..identification.transforms import FLAT, second_moments_of
+from ..identification.inertia_transforms import FLAT, second_moments_of
 from ..validation.checks import FieldError, is_traced, not_negative
 from .distribution_checks import described, inside
 from .distributions import AbstractDistribution
