@@ -209,6 +209,36 @@ def test_both_quaternions_of_a_rotation_have_its_coordinates():
         )
 
 
+def test_every_quaternion_is_turned():
+    """Whatever its field is called, and never one entry of it."""
+    inner = rk.RollingBody(
+        rk.Body(0.1, ASKEW, rk.Sphere(0.01)),
+        rk.Sphere(0.03, inside=True),
+        rotation=TURN,
+    )
+    base = rk.Base(rk.Plane(), rk.Spin(1.0, orientation=(1.0, 0.0, 0.0, 0.0)))
+    scene = rk.Scene(SCENE.body, base, supported=inner)
+    own = inner.place(TURN, (0.0, 0.0, 1.0), (0.0, 0.0, -0.03))
+    start = rk.place(scene, TURN, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), supported=own)
+    model = Model(scene, start, jnp.zeros(()), None, {})
+    quaternions = [
+        path
+        for path in known_paths(model)
+        if Layout([model], [rk.Free(path)]).entries[0].transform.reference.shape == (4,)
+    ]
+    assert quaternions == [
+        "base.motion.orientation",
+        "supported[0].rotation",
+        "start.orientation",
+        "start.supported[0].orientation",
+    ]
+    for path in quaternions:
+        (entry,) = Layout([model], [rk.Free(path)]).entries
+        assert type(entry.transform) is Rotated
+        with pytest.raises(rk.FieldError, match="is only a part"):
+            Layout([model], [rk.Free(f"{path}[1]")])
+
+
 def test_masses_and_lengths_stay_positive():
     for path in ("body.mass", "body.surface.semi_axes"):
         entry = entry_of(rk.Free(path))

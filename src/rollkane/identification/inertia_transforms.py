@@ -224,7 +224,7 @@ def _factor(S: np.ndarray) -> np.ndarray:
     try:
         L: np.ndarray = np.linalg.cholesky(S)
     except np.linalg.LinAlgError:
-        L = np.full_like(S, np.nan)
+        return np.nan * _factor(np.eye(S.shape[0]))
     diagonal = np.diag(L)
     rows, columns = np.tril_indices(S.shape[0], -1)
     below = L[rows, columns] / np.sqrt(diagonal[rows] * diagonal[columns])

@@ -10,41 +10,11 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError
 from . import paths
-from .inertia_transforms import inertia_transform
+from .field_coordinates import bounds_of, transform_of
 from .parameters import PLACING, Free, Model, Slot, Slots, Tied, located, number_in
 from .transform_values import TransformValues, values_at
-from .transforms import AbstractTransform, Plain, Positive, Rotated, Scaled
+from .transforms import AbstractTransform
 
-# Fields whose constructors ask for numbers above zero, by class ("": any class)
-_POSITIVE = {
-    ("", "mass"),
-    ("", "radius"),
-    ("", "major_radius"),
-    ("", "minor_radius"),
-    ("", "regularization"),
-    ("Implicit", "size"),
-    ("Modes", "rest_speed"),
-    ("Ellipsoid", "semi_axes"),
-    ("StribeckFriction", "speed"),
-}
-# and those that may be zero, with the largest that they may be
-_NOT_NEGATIVE = {
-    ("Modes", "friction"): np.inf,
-    ("Modes", "static_friction"): np.inf,
-    ("Modes", "restitution"): 1.0,
-    ("StribeckFriction", "static"): np.inf,
-    ("StribeckFriction", "kinetic"): np.inf,
-    ("StribeckFriction", "viscous"): np.inf,
-    ("CoulombFriction", "coefficient"): np.inf,
-    ("ViscousFriction", "coefficient"): np.inf,
-    ("RollingResistance", "viscous"): np.inf,
-    ("RollingResistance", "dry"): np.inf,
-    ("SpinningResistance", "viscous"): np.inf,
-    ("SpinningResistance", "dry"): np.inf,
-    ("Drag", "linear"): np.inf,
-    ("Drag", "quadratic"): np.inf,
-    ("Drag", "angular"): np.inf,
-}
 # How far a coordinate goes to see whether the body still touches [its size]: beyond
 # what placing overlooks, 1e-6 rad (1e-3 in single precision).
 _ASIDE = 1e-2
@@ -127,11 +97,11 @@ class Layout:
         first_owner = _owners(self.models, free.path)[0]
         model = self.models[first_owner if record is None else record]
         keys, value = _array_at(model, free.path)
-        transform = _transform(free, model, keys, value)
+        transform = transform_of(free, model, keys, value)
         first = self.entries[-1].where.stop if self.entries else 0
         size = transform.start().size
         where = slice(first, first + size)
-        lower, upper = _bounds(free, model, keys, transform)
+        lower, upper = bounds_of(free, model, keys, transform)
         _check_prior(free, value)
         entry = Coordinates(free, record, transform, where, lower, upper)
         self.entries.append(entry)
@@ -276,86 +246,6 @@ def known_paths(model: Model) -> list[str]:
         held = paths.floats(channel, name)
         parts += [p for p in held if not p.endswith((".values", ".sigma"))]
     return parts
-
-
-def _kind(model: Model, keys: paths.Keys) -> tuple[str, str]:
-    """Class that holds a number, and the number's name there."""
-    while isinstance(keys[-1], int):
-        keys = keys[:-1]
-    return type(number_in(model, keys[:-1])).__name__, str(keys[-1])
-
-
-def _is_positive(kind: tuple[str, str]) -> bool:
-    return kind in _POSITIVE or ("", kind[1]) in _POSITIVE
-
-
-def _transform(
-    free: Free, model: Model, keys: paths.Keys, value: Array
-) -> AbstractTransform:
-    field = f"Free({free.path!r})"
-    value, kind = jnp.asarray(value), _kind(model, keys)
-    if kind[1] in ("inertia", "orientation") and isinstance(keys[-1], int):
-        whole = free.path.rstrip("[]0123456789.")
-        remedy = f"free {whole!r}, which stays physical as a whole"
-        raise FieldError(field, free.path, "is only a part", remedy)
-    if free.form == "scale":
-        if not np.any(np.asarray(value)):
-            raise FieldError(field, value, "is zero and has no scale", "leave form out")
-        return Scaled(value)
-    if kind[1] == "inertia" and value.shape == (3, 3):
-        return inertia_transform(field, value, free.form)
-    if free.form not in (None, "full"):
-        raise FieldError(f"{field}.form", free.form, "is of inertias", "leave it out")
-    if kind[1] == "orientation" and value.shape == (4,):
-        return Rotated(value)
-    if _is_positive(kind):
-        if not np.all(np.asarray(value) > 0.0):
-            raise FieldError(field, value, "must start above zero", "give it a guess")
-        return Positive(value)
-    return Plain(value)
-
-
-def _bounds(
-    free: Free, model: Model, keys: paths.Keys, transform: AbstractTransform
-) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds in coordinates: those that were given, and those that physics has."""
-    start = transform.start()
-    field = f"Free({free.path!r}).bounds"
-    low, high = -np.inf, np.inf
-    kind = _kind(model, keys)
-    if isinstance(transform, Plain) and kind in _NOT_NEGATIVE:
-        low, high = 0.0, _NOT_NEGATIVE[kind]
-    if keys[0] == "channels" and keys[-1] == "delay":
-        low, high = 0.0, np.inf
-    if free.bounds is not None:
-        if not isinstance(transform, (Plain, Positive)):
-            remedy = "leave them out: its coordinates keep it physical; or give a prior"
-            raise FieldError(field, free.bounds, "are for plain numbers", remedy)
-        least, most = free.bounds
-        low, high = low if least is None else least, high if most is None else most
-    known = values_at(transform, start).value
-    shape, value = known.shape, known.ravel()
-    try:
-        lower, upper = (
-            np.ravel(np.broadcast_to(np.asarray(x, float), shape)) for x in (low, high)
-        )
-    except (TypeError, ValueError) as error:
-        remedy = f"give (least, largest), numbers or arrays of shape {shape}"
-        raise FieldError(field, free.bounds, "do not fit", remedy) from error
-    slack = 1e-12 * np.abs(value)
-    if not np.all(lower < upper):
-        raise FieldError(field, free.bounds, "must be (least, largest)", "order them")
-    if isinstance(transform, (Plain, Positive)) and not np.all(
-        (lower <= value + slack) & (value - slack <= upper)
-    ):
-        problem = f"do not hold the start, {value.tolist()}"
-        raise FieldError(field, free.bounds, problem, "widen them, or move the start")
-    if isinstance(transform, Positive):
-        with np.errstate(divide="ignore"):
-            return np.log(np.maximum(lower, 0.0)), np.log(upper)
-    if isinstance(transform, Plain):
-        return lower, upper
-    return np.full_like(start, -np.inf), np.full_like(start, np.inf)
 
 
 def _check_prior(free: Free, value: Array) -> None:
