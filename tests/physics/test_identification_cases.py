@@ -12,6 +12,8 @@ import scipy.stats
 
 import rollkane as rk
 from rollkane.files.scene_files import load_scene
+from rollkane.identification.layout import Layout
+from rollkane.identification.parameters import Model
 
 EPS = np.finfo(float).eps
 UP, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -156,6 +158,71 @@ def test_the_start_of_an_egg():
     )(guess.orientation)
     about_y = np.array([-guess.orientation[2], 0.0, guess.orientation[0], 0.0])
     assert abs(float(tilt @ about_y)) > 1.0
+
+
+def test_where_in_a_bowl_it_started():
+    """The contact is a direction there: of unit length, with errors of its entries."""
+    scene = rk.Scene(
+        rk.Body(1.0, 4e-3 * np.eye(3), rk.Sphere(0.1)),
+        rk.Base(rk.Ellipsoid((1.0, 0.9, 0.8), inside=True)),
+    )
+    spin, path = (1.0, 2.0, 3.0), "start.contact_on_base"
+    deep = lambda x, y: (x, y, -0.8 * np.sqrt(1.0 - x**2 - (y / 0.9) ** 2))
+    start = rk.place(scene, UP, spin, deep(0.0, 0.3))
+    places = rk.simulate(scene, start, TIMES).position
+    record = rk.Record(TIMES, {"place": rk.Position(noisy(places, 1e-3, 5), 1e-3)})
+    guess = rk.place(scene, UP, spin, deep(0.05, 0.2))
+    found = rk.fit(scene, guess, record, rk.Free(path))
+    assert found.unseen == ()
+    within_four(found, path, np.asarray(start.contact_on_base))
+    drawn = rk.FitCovariance(found).draw(jnp.array([0.1, 0.8]))[path]
+    for one in (found.estimates[path], drawn):
+        assert abs(np.linalg.norm(one) - 1.0) < 8 * EPS
+    assert found.contains({path: start.contact_on_base})
+    assert not found.contains({path: guess.contact_on_base})
+
+
+def test_the_spin_that_rubber_does_not_have():
+    """Of an angular velocity what is across the normal is found, and given back."""
+    scene = rk.Scene(
+        rk.Body(1.0, 4e-3 * np.eye(3), rk.Sphere(0.1)),
+        rk.Base(rk.Graph(lambda x, y: 0.5 * (x * x + y * y))),
+        contact=rk.RubberRolling(),
+    )
+    start = rk.place(scene, UP, (1.0, 2.0, 0.0), (0.2, 0.1, 0.025))
+    run = rk.simulate(scene, start, TIMES)
+    spins = noisy(run.state.angular_velocity, NOISE, 6)
+    record = rk.Record(TIMES, {"gyro": rk.Gyro(spins, NOISE)})
+    path = "start.angular_velocity"
+    found = rk.fit(scene, start, record, rk.Free(path))
+    assert found.unseen == ()
+    truth = run.state.angular_velocity[0]
+    within_four(found, path, truth)
+    again = rk.simulate(found.scene, found.start, TIMES[:2]).state.angular_velocity[0]
+    for one in (found.start.angular_velocity, found.estimates[path]):
+        # the part along the normal, of 2 rad/s, taken off twice
+        np.testing.assert_allclose(one, again, rtol=0, atol=32 * EPS)
+    # with any spin about the normal the motion is the same
+    assert found.contains({path: truth})
+    assert found.contains({path: start.angular_velocity})
+    # and the start is the motion's where the normal moves, too
+    free = [rk.Free(path), rk.Free("start.contact_on_base", prior=([0.2, 0.1], 0.01))]
+    found = rk.fit(scene, start, record, free)
+    again = rk.simulate(found.scene, found.start, TIMES[:2]).state.angular_velocity[0]
+    np.testing.assert_allclose(found.start.angular_velocity, again, atol=32 * EPS)
+
+
+def test_a_slip_stays_along_the_surface():
+    """Its part along the normal is none of the motion's."""
+    body = rk.Body(1.0, 4e-3 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(body, contact=rk.Slipping())
+    start = rk.place(scene, UP, STILL, STILL, slip=(0.5, 0.2, 0.0))
+    model = Model(scene, start, jnp.zeros(()), None, {})
+    layout = Layout([model], [rk.Free("start.slip")])
+    assert layout.size == 2
+    moved = layout.model(0, layout.start + np.array([0.1, -0.3])).start.slip
+    assert moved[2] == 0.0
+    np.testing.assert_allclose(np.hypot(*(moved - start.slip)[:2]), np.sqrt(0.1))
 
 
 def test_a_pendulum_in_a_shell():

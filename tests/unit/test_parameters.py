@@ -15,6 +15,12 @@ from rollkane.identification.inertia_transforms import (
 )
 from rollkane.identification.layout import Layout, known_paths
 from rollkane.identification.parameters import Model
+from rollkane.identification.start_coordinates import (
+    Across,
+    Directions,
+    OnSurface,
+    _of_contact,
+)
 from rollkane.identification.transforms import Plain, Positive, Rotated, Scaled
 
 from ..quick import A_FEW, slow_but
@@ -154,7 +160,12 @@ def test_a_quaternion_turns_by_its_coordinates(size):
 
 TURN = np.array([0.8, 0.0, -0.6, 0.0])
 DISC = np.diag([1.0, 1.0, 2.0])
+SEEN = jnp.array([0.3, 0.6, -0.8])  # of which the last two may be a direction
 TRANSFORMS = {
+    "direction": Directions(jnp.array([0.0, 0.6, -0.8]), ((0, 3),)),
+    "direction in a plane": Directions(SEEN, ((1, 3),)),
+    "two directions": Directions(jnp.array([0.6, 0.8, 0.0, -1.0]), ((0, 2), (2, 4))),
+    "across": Across(SEEN, jnp.array([0.0, 0.8, 0.6])),
     "plain": Plain(jnp.array([0.0, -3.0])),
     "positive": Positive(jnp.array([1e-9, 2.0])),
     "scaled": Scaled(jnp.array([0.0, -3.0])),
@@ -174,7 +185,8 @@ def test_every_value_has_its_coordinates(name):
     z0 = transform.start()
     np.testing.assert_array_equal(transform.coordinates(transform.reference), z0)
     for _ in range(20):
-        z = z0 + random.uniform(-1.7, 1.7, z0.size) * (1.0 if name == "turned" else 3.5)
+        most = 1.7 if "turn" in name or "direction" in name else 6.0
+        z = z0 + random.uniform(-most, most, z0.size)
         value = np.asarray(transform.value(jnp.asarray(z)))
         # second moments e^24 times each other: of the less there are left
         # e^-24 / eps = 2e5 units, of which a few are off
@@ -182,6 +194,8 @@ def test_every_value_has_its_coordinates(name):
 
 
 NOWHERE = {
+    "direction": [[0.0, 1.2, -1.6], np.zeros(3), np.full(3, np.nan)],
+    "direction in a plane": [[0.3, 1.2, -1.6], [np.nan, 0.6, -0.8]],
     "plain": [[np.nan, 1.0], [np.inf, 1.0]],
     "positive": [[1.0, 0.0], [-1.0, 1.0], [np.inf, 1.0], [np.nan, 1.0]],
     "scaled": [[0.0, 3.0], [0.0, 0.0], [1.0, -3.0], [np.nan, np.nan]],
@@ -197,6 +211,53 @@ NOWHERE = {
 def test_what_no_parameter_can_be_has_no_coordinates(name):
     for value in NOWHERE[name]:
         assert np.isnan(TRANSFORMS[name].coordinates(np.asarray(value))).all()
+
+
+ROUND = {
+    "plane": rk.Plane(),
+    "sphere": rk.Sphere(1.0, inside=True),
+    "ellipsoid": rk.Ellipsoid((1.0, 0.9, 0.8)),
+    "torus": rk.Torus(1.0, 0.3),
+    "cylinder": rk.Cylinder(1.0),
+    "rim": rk.DiscEdge(1.0),
+    "ring": rk.Ring(1.0),
+    "cone": rk.Cone(0.5, inside=True),
+    "graph": rk.Graph(lambda x, y: 0.5 * (x * x + y * y)),
+    "one pole": rk.Revolution(lambda s: jnp.stack([s, s * s]), domain=(0.0, 1.0)),
+    "two poles": rk.Revolution(lambda s: jnp.stack([jnp.sin(s), jnp.cos(s)])),
+    "by direction": rk.Parametric(lambda u: 0.3 * u, of_direction=True),
+    "implicit": rk.Implicit(lambda x, y, z: x * x + 2.0 * y * y + 3.0 * z * z - 1.0),
+}
+
+
+@pytest.mark.parametrize("name", ROUND)
+def test_contact_coordinates_have_no_spare_number(name):
+    """Two move the point over the surface, or a rim's normal, and nothing else does."""
+    surface = ROUND[name]
+    u = jnp.asarray(surface.samples()[7])
+    transform = _of_contact(surface, u) or Plain(u)
+    z = jnp.asarray(transform.start())
+    assert z.size == 2
+
+    def placed(z):
+        geometry = surface.geometry(transform.value(z))
+        return jnp.concatenate([geometry.position, geometry.normal])
+
+    np.testing.assert_allclose(transform.value(z), u, rtol=0, atol=16 * EPS)
+    slopes = np.linalg.svd(jax.jacfwd(placed)(z), compute_uv=False)
+    assert slopes[-1] > 0.1  # no radius here is above 2 m, nor below 0.1 m
+
+
+def test_a_point_stays_on_its_surface():
+    """A way of 0.2 m along the tangents of a surface with radii of a third and more."""
+    surface = ROUND["implicit"]
+    for u in np.asarray(surface.samples()[::100]):
+        transform = OnSurface(jnp.asarray(u), surface)
+        for z in ([0.2, 0.0], [-0.1, 0.15]):
+            value = np.asarray(transform.value(jnp.array(z)))
+            assert abs(surface.f(jnp.asarray(value))) < 16 * EPS  # sums of four terms
+            np.testing.assert_allclose(transform.coordinates(value), z, atol=16 * EPS)
+        assert np.isnan(transform.coordinates(1.1 * u)).all()
 
 
 def test_both_quaternions_of_a_rotation_have_its_coordinates():
@@ -232,6 +293,9 @@ def test_every_quaternion_is_turned():
         "start.orientation",
         "start.supported[0].orientation",
     ]
+    # where it touches: a pair in the plane, a direction in the ball
+    for path in ("start.contact_on_base", "start.supported[0].contact_on_base"):
+        assert Layout([model], [rk.Free(path)]).size == 2
     for path in quaternions:
         (entry,) = Layout([model], [rk.Free(path)]).entries
         assert type(entry.transform) is Rotated

@@ -7,6 +7,7 @@ from typing import Any, Self
 import jax.numpy as jnp
 import numpy as np
 
+from ..dynamics.consistency import consistent
 from ..dynamics.scene import Scene
 from . import uncertainty
 from .experiments import Problem
@@ -80,7 +81,7 @@ class Estimates:
             stages=tuple(best.stages),
             minima=_minima(searches),
             scene=models[0].scene,
-            start=every([m.start for m in models]),
+            start=every([consistent(m.scene, m.time, m.start) for m in models]),
             record=every(problem.records),
             loss=loss,
             problem=problem,

@@ -8,6 +8,7 @@ from ..validation.checks import FieldError
 from . import paths
 from .inertia_transforms import inertia_transform
 from .parameters import Free, Model, number_in
+from .start_coordinates import start_transform
 from .transform_values import values_at
 from .transforms import AbstractTransform, Plain, Positive, Rotated, Scaled
 
@@ -88,6 +89,9 @@ def transform_of(
         raise FieldError(f"{field}.form", free.form, "is of inertias", "leave it out")
     if turned and value.shape == (4,):
         return Rotated(value)
+    without_spare = start_transform(model, keys, value)
+    if without_spare is not None:
+        return without_spare
     if _is_among(_POSITIVE, kind):
         if not np.all(np.asarray(value) > 0.0):
             raise FieldError(field, value, "must start above zero", "give it a guess")

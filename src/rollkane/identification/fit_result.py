@@ -41,7 +41,8 @@ class Fit(Estimates):
         stages: Horizons that were fitted.
         minima: Distinct minima of several starts: chi2 and how many ended there.
         scene: The model with the estimates.
-        start: The start with them; of several records, a list.
+        start: The start with them, without what its contact does not allow, as the
+            motion has it; of several records, a list.
         record: The record or records with estimated channels.
         loss: Of the misfits.
         problem: The least-squares problem, for more of it.

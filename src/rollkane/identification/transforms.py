@@ -86,6 +86,11 @@ def entries(shape: tuple[int, ...]) -> tuple[str, ...]:
     return tuple("".join(f"[{i}]" for i in index) for index in every)
 
 
+def size_of(value: Array) -> float:
+    """The largest number of an array, without its sign; 1 where all are zero."""
+    return float(np.max(np.abs(np.asarray(value, float)), initial=0.0)) or 1.0
+
+
 class Plain(AbstractTransform):
     """Numbers as they are."""
 
@@ -99,8 +104,7 @@ class Plain(AbstractTransform):
 
     def scale(self) -> np.ndarray:
         """The largest of them; 1 where all are zero."""
-        size = np.max(np.abs(self.start()), initial=0.0)
-        return np.full_like(self.start(), size if size > 0.0 else 1.0)
+        return np.full_like(self.start(), size_of(self.reference))
 
 
 class Positive(AbstractTransform):

@@ -32,6 +32,7 @@ class AbstractSurface(eqx.Module):
     is_bounded: ClassVar[bool] = True  # else it goes on beyond its samples
     is_height: ClassVar[bool] = False  # one height above each x and y, drawn in part
     is_by_normal: ClassVar[bool] = False  # parametrized by its normal, edges included
+    is_by_place: ClassVar[bool] = False  # its coordinates are those of the point
     is_edge: ClassVar[bool] = False  # several normals at each point
     is_wire: ClassVar[bool] = False  # an edge all round
     searches_distance: ClassVar[bool] = False  # ``signed_distance`` does, over samples
@@ -49,6 +50,14 @@ class AbstractSurface(eqx.Module):
         self, u: Float[Array, " k"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, " k"]:
         """Rates of ``u`` for local rates ``x``; linear in a direction's length."""
+
+    @property
+    def directions(self) -> tuple[tuple[int, int], ...]:
+        """Which coordinates are directions, of any length: (first, behind the last).
+
+        Three coordinates are one, but for a point's own.
+        """
+        return ((0, 3),) if self.coordinate_count == 3 and not self.is_by_place else ()
 
     def units(self, u: Float[Array, " k"]) -> Float[Array, "2"]:
         """What local coordinates are measured by: metres beside angles by a length."""

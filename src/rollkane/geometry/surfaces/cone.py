@@ -87,6 +87,11 @@ class Cone(AbstractPointSurface):
         (_, a, b), (along, around) = components(u), components(x)
         return jnp.stack([along, -b * around, a * around])
 
+    @property
+    def directions(self) -> tuple[tuple[int, int], ...]:
+        """That from the axis."""
+        return ((1, 3),)
+
     def extent(self, u: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from the axis [m]: zero at the tip."""
         return u[0]

@@ -192,6 +192,11 @@ class Ring(AbstractPointSurface):
         """Local geometry, in the angles along the ring and round the wire."""
         return _on_wire(self.radius, _unit(u[:2]), _unit(u[2:]))
 
+    @property
+    def directions(self) -> tuple[tuple[int, int], ...]:
+        """From the centre, and of the normal."""
+        return (0, 2), (2, 4)
+
     def coordinate_rates(
         self, u: Float[Array, "4"], geometry: LocalGeometry, x: Float[Array, "2"]
     ) -> Float[Array, "4"]:

@@ -144,8 +144,7 @@ class Parametric(AbstractPointSurface):
             parameters: Tree of numbers that it depends on; differentiable.
             domain: Ranges of the two parameters for searches and drawing; with
                 ``of_direction`` ignored.
-            of_direction: Whether position takes a unit vector; closed surfaces without
-                poles.
+            of_direction: Whether position takes a unit vector: closed, without poles.
             inside: False where the normal d1 x d2 points out of the material, else
                 true. With ``of_direction``, the normal away from their origin.
 
@@ -261,6 +260,7 @@ class Implicit(AbstractPointSurface):
     """
 
     coordinate_count = 3
+    is_by_place: ClassVar[bool] = True
     f: UserFunction
     center: Float[Array, "3"]
     size: Float[Array, ""]
