@@ -38,6 +38,10 @@ class AbstractInertia(AbstractTransform):
         S = self.second_moments(z)
         return jnp.trace(S) * jnp.eye(3, dtype=S.dtype) - S
 
+    def unit(self, shown: np.ndarray) -> float:
+        """The largest moment: its coordinates have no unit."""
+        return float(shown.max())
+
     def shown(self, value: Array) -> Array:
         """Moments, then entries off the diagonal."""
         return value[_ROWS, _COLUMNS]

@@ -57,6 +57,14 @@ class AbstractTransform(eqx.Module):
         """Size of each coordinate, for what is said relative to it, shape (k,)."""
         return np.ones_like(self.start())
 
+    def unit(self, shown: np.ndarray) -> float:
+        """What changes of the named numbers are told relative to [their unit].
+
+        The largest of them, or the size of the coordinates: of numbers that may be zero
+        next to nothing is left but noise.
+        """
+        return max(float(np.abs(shown).max()), float(self.scale().max()))
+
     def shown(self, value: Array) -> Array:
         """Independent numbers of a value, which names of a covariance stand for."""
         return jnp.ravel(value)
@@ -113,6 +121,10 @@ class Positive(AbstractTransform):
     def value(self, z: Float[Array, " k"]) -> Array:
         """The numbers."""
         return jnp.reshape(jnp.exp(z), self.reference.shape)
+
+    def unit(self, shown: np.ndarray) -> float:
+        """The largest of them: never zero, and its logarithm has no unit."""
+        return float(shown.max())
 
     def inverse(self, value: np.ndarray) -> np.ndarray:
         """Their logarithms."""

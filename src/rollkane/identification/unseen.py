@@ -131,17 +131,16 @@ def _sparse(rows: np.ndarray) -> np.ndarray:
 
 
 def _combination(row: np.ndarray, layout: Layout, z: np.ndarray) -> str:
-    """The named numbers that change along a direction, by their relative size."""
+    """The named numbers that change along a direction, relative to their units."""
     parts: list[tuple[str, float]] = []
     direction = row * layout.scale
     for entry in layout.entries:
         _, value, _, slope = entry.at(z)
         change = slope @ direction[entry.where]
-        size = np.abs(value).max()
-        size = size if size > 0.0 else 1.0
+        unit = entry.transform.unit(value)
         labels = entry.transform.labels()
         parts += [
-            (entry.name + label, c / size)
+            (entry.name + label, c / unit)
             for label, c in zip(labels, change, strict=True)
         ]
     most = max(abs(c) for _, c in parts)
