@@ -495,6 +495,32 @@ def test_a_draw_is_put_into_the_scene(found):
         rk.FitCovariance(found.covariance)
 
 
+def weighed(**given):
+    """A ball of a gram on a balance whose readings are good to a kilogram."""
+    scene = rk.Scene(rk.Body(1e-3, 4e-3 * np.eye(3), rk.Sphere(0.1)))
+    still = (0.0, 0.0, 0.0)
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), still, still)
+    weight = rk.NormalForce(np.full(2, 1e-3 * 9.80665), 9.80665)
+    record = rk.Record([0.0, 0.1], {"weight": weight})
+    return rk.fit(scene, start, record, rk.Free("body.mass", **given))
+
+
+def test_what_is_known_to_no_factor_is_not_drawn():
+    """The deviation of the logarithm: 1000 / sqrt(2); e^709 is the largest number."""
+    found = weighed()
+    assert found.unseen == ()
+    with pytest.raises(rk.FieldError, match=r"body\.mass.*prior") as caught:
+        rk.FitCovariance(found)
+    assert "varies by 707" in str(caught.value)
+    within = rk.FitCovariance(weighed(bounds=(1e-4, 1.0)))
+    masses = drawn(within)["body.mass"]
+    # logarithms and back, of numbers down to 1e-4: 9 roundings
+    assert masses.min() > 1e-4 * (1.0 - 16 * EPS)
+    assert masses.max() < 1.0 + 16 * EPS
+    prior = rk.FitCovariance(weighed(prior=(1e-3, 1e-4)))
+    assert (drawn(prior)["body.mass"] > 0.0).all()
+
+
 # All that is random in a study
 
 

@@ -1,7 +1,7 @@
 """Coordinates of an inertia: second moments of a density, by a Cholesky factor."""
 
 import abc
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -26,8 +26,6 @@ class AbstractInertia(AbstractTransform):
     S is positive semidefinite for every z, so that I is positive definite and no
     principal moment exceeds the sum of the others.
     """
-
-    logarithms: ClassVar[int] = 3  # among the coordinates, first
 
     @abc.abstractmethod
     def second_moments(self, z: Float[Array, " k"]) -> Float[Array, "3 3"]:
@@ -72,6 +70,10 @@ class FullInertia(AbstractInertia):
         """Of the Cholesky factor."""
         return _factor(second_moments_of(value))
 
+    def logarithms(self) -> np.ndarray:
+        """Of squares of L's diagonal."""
+        return 2.0 * np.eye(6)[:3]
+
 
 class FlatInertia(AbstractInertia):
     """Three numbers of a body without thickness, in a plane that stays.
@@ -85,8 +87,6 @@ class FlatInertia(AbstractInertia):
 
     plane: Array
 
-    logarithms: ClassVar[int] = 2
-
     def second_moments(self, z: Float[Array, " 3"]) -> Float[Array, "3 3"]:
         """S [kg m^2]."""
         return self.plane @ _product(z, 2) @ self.plane.T
@@ -95,6 +95,10 @@ class FlatInertia(AbstractInertia):
         """Of the Cholesky factor in the plane."""
         plane = np.asarray(self.plane)
         return _factor(plane.T @ second_moments_of(value) @ plane)
+
+    def logarithms(self) -> np.ndarray:
+        """Of squares of L's diagonal."""
+        return 2.0 * np.eye(3)[:2]
 
 
 class DiagonalInertia(AbstractInertia):
@@ -117,6 +121,10 @@ class DiagonalInertia(AbstractInertia):
     def inverse(self, value: np.ndarray) -> np.ndarray:
         """Logarithms of second moments."""
         return np.log(np.diag(second_moments_of(value))[list(self.extended)])
+
+    def logarithms(self) -> np.ndarray:
+        """All."""
+        return np.eye(len(self.extended))
 
     def shown(self, value: Array) -> Array:
         """The moments."""
@@ -151,6 +159,10 @@ class InertiaRatios(AbstractInertia):
         away = self.free.inverse(value) - np.asarray(self.begin)
         return away @ np.asarray(self.across)
 
+    def logarithms(self) -> np.ndarray:
+        """As without the condition."""
+        return self.free.logarithms() @ np.asarray(self.across)
+
     def shown(self, value: Array) -> Array:
         """As without the condition."""
         return self.free.shown(value)
@@ -181,9 +193,7 @@ def inertia_transform(field: str, inertia: Array, form: str | None) -> AbstractI
         free = inertia_transform(field, inertia, RATIOS[form])
         begin = free.start()
         # the logarithms grow alike where the inertia is multiplied
-        along = np.zeros((1, begin.size))
-        along[:, : free.logarithms] = 1.0
-        _, _, rows = np.linalg.svd(along)
+        _, _, rows = np.linalg.svd(free.logarithms().sum(axis=0, keepdims=True))
         parts = (jnp.asarray(x, inertia.dtype) for x in (begin, rows[1:].T))
         return InertiaRatios(inertia, free, *parts)
     known = np.asarray(inertia, float)

@@ -57,6 +57,10 @@ class AbstractTransform(eqx.Module):
         """Size of each coordinate, for what is said relative to it, shape (k,)."""
         return np.ones_like(self.start())
 
+    def logarithms(self) -> np.ndarray:
+        """What gives the logarithms of sizes from the coordinates, shape (n, k)."""
+        return np.zeros((0, self.start().size))
+
     def unit(self, shown: np.ndarray) -> float:
         """What changes of the named numbers are told relative to [their unit].
 
@@ -122,6 +126,10 @@ class Positive(AbstractTransform):
         """The numbers."""
         return jnp.reshape(jnp.exp(z), self.reference.shape)
 
+    def logarithms(self) -> np.ndarray:
+        """All."""
+        return np.eye(self.reference.size)
+
     def unit(self, shown: np.ndarray) -> float:
         """The largest of them: never zero, and its logarithm has no unit."""
         return float(shown.max())
@@ -142,6 +150,10 @@ class Scaled(AbstractTransform):
         """The logarithm of the factor: zero of the array that was given."""
         known = np.asarray(self.reference, float)
         return np.log(np.array([np.sum(value * known) / np.sum(known * known)]))
+
+    def logarithms(self) -> np.ndarray:
+        """The factor's."""
+        return np.eye(1)
 
     def shown(self, value: Array) -> Array:
         """The factor."""

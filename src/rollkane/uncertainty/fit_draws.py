@@ -23,6 +23,9 @@ from ..validation.checks import FieldError, whole
 from .distribution_checks import inside, listed, root_of
 from .distributions import AbstractDistribution
 
+# Standard deviations of a logarithm: uniform numbers of 53 digits are within 8.3 of
+# them, and e^83 is a number in single precision, too.
+_WIDEST = 10.0
 _OF_MOTION = ("scene", "start")  # roots of what a draw is put into
 
 
@@ -87,7 +90,8 @@ class FitCovariance(AbstractDistribution):
             fit: Of :func:`rollkane.fit`; each parameter [its unit].
 
         Raises:
-            FieldError: something else, or parameters that the records do not show.
+            FieldError: something else, parameters that the records do not show, or
+                positive ones that they do not show to any factor.
         """
         field = "FitCovariance.fit"
         if not isinstance(cast(object, fit), Fit):
@@ -98,6 +102,8 @@ class FitCovariance(AbstractDistribution):
             raise FieldError(field, fit.unseen, problem, remedy)
         layout, best = fit.problem.layout, fit.search.minimum
         known = coordinate_covariance(best.at, layout, best.z, loss_of(fit.loss))
+        for entry in layout.entries:
+            _check_width(field, entry, known)
         self.center = jnp.asarray(best.z)
         self.root = root_of(field, known, jnp.asarray(known))
         self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
@@ -193,6 +199,18 @@ class FitCovariance(AbstractDistribution):
             "bounds": [listed(self.lower), listed(self.upper)],
             "model": listed(np.concatenate(model)),
         }
+
+
+def _check_width(field: str, entry: Coordinates, known: np.ndarray) -> None:
+    """Refuse a logarithm that is so uncertain that draws are infinite, or zero."""
+    held = np.isfinite(entry.lower) & np.isfinite(entry.upper)
+    rows = entry.transform.logarithms() * ~held
+    variances = np.diag(rows @ known[entry.where, entry.where] @ rows.T)
+    widest = float(np.sqrt(np.max(variances, initial=0.0)))
+    if widest > _WIDEST:
+        problem = f"is not known to any factor: its logarithm varies by {widest:.3g}"
+        remedy = "hold it, or give it a prior, or bounds above zero"
+        raise FieldError(field, entry.name, problem, remedy)
 
 
 def _place(entry: Coordinates, channels: Mapping[str, Any]) -> _Place:
