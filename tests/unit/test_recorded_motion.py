@@ -142,11 +142,26 @@ def test_free_numbers_of_a_record_are_those_it_is_made_of():
     start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     offered = known_paths(Model(scene, start, jnp.zeros(()), None, {}))
     assert [path for path in offered if path.startswith("base.motion.")] == [
-        "base.motion.time",
         "base.motion.acceleration",
         "base.motion.start_velocity",
         "base.motion.start_position",
     ]
+
+
+@pytest.mark.parametrize("path", ["base.motion.time", "base.motion.time[1]"])
+def test_the_clock_of_a_record_is_not_free(path):
+    """Its times would come out of order."""
+    motion = rk.RecordedMotion([0.0, 0.1, 0.2], np.ones(3))
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)), rk.Base(rk.Plane(), motion)
+    )
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    record = rk.Record([0.0, 0.1], {"gyro": rk.Gyro(np.ones((2, 3)), 0.1)})
+    tied = [rk.Free("body.mass"), rk.Tied(path, lambda v: v["body.mass"])]
+    for free in (rk.Free(path), tied):
+        with pytest.raises(FieldError, match="delay of a channel") as caught:
+            rk.fit(scene, start, record, free)
+        assert caught.value.field == "Free.path"
 
 
 @pytest.mark.parametrize("traced", [False, True])

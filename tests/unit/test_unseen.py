@@ -22,7 +22,7 @@ def test_words_do_not_depend_on_numbers_that_are_nearly_zero(noise):
     """A turn from the guess and a bias, whose estimates may be nothing but noise.
 
     The axes of a ball turn by e about x: 1 rad beside e x w = (0, -2, 4) rad/s, of
-    10 rad/s; a bias of 1 rad/s, its size where none is known, hides 1 rad/s of those 10.
+    10 rad/s; a bias of 1 rad/s, its size where none is known, hides 1 of those 10.
     """
     free = [rk.Free(f"start.{name}") for name in ("orientation", "angular_velocity")]
     layout = Layout([MODEL], [*free, rk.Free("gyro.bias")])

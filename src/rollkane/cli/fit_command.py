@@ -29,6 +29,7 @@ _CHANNELS = (
 
 STRATEGIES = ("auto", "single", "progressive")
 LOSSES = ("linear", "huber", "soft_l1", "cauchy")
+FORMS = ("full", "diagonal", "scale", "ratios", "diagonal ratios")
 _NAMED = ("sigma", "units", "at", "bounds", "prior", "form")
 _LEVEL = 0.95  # probability of profile intervals
 
@@ -63,7 +64,7 @@ def _several(
 )
 @_several("--bounds", "PATH=LOW,HIGH", "Its bounds; either may be left empty.")
 @_several("--prior", "PATH=MEAN,SD", "What was known of it before.")
-@_several("--form", "PATH=FORM", "full, diagonal or scale.")
+@_several("--form", "PATH=FORM", f"One of: {', '.join(FORMS)}.")
 @click.option(
     "--strategy",
     type=click.Choice(STRATEGIES),

@@ -46,6 +46,11 @@ _NOT_NEGATIVE = {
 _QUATERNIONS = {("", "orientation"), ("RollingBody", "rotation")}
 
 
+def is_clock(model: Model, keys: paths.Keys) -> bool:
+    """Whether keys lead to the times of samples, whose order a fit would not keep."""
+    return _kind(model, keys) == ("RecordedMotion", "time")
+
+
 def _kind(model: Model, keys: paths.Keys) -> tuple[str, str]:
     """Class that holds a number, and the number's name there."""
     while isinstance(keys[-1], int):

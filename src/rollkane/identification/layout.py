@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError
 from . import paths
-from .field_coordinates import bounds_of, transform_of
+from .field_coordinates import bounds_of, is_clock, transform_of
 from .parameters import PLACING, Free, Model, Slot, Slots, Tied, located, number_in
 from .transform_values import TransformValues, values_at
 from .transforms import AbstractTransform
@@ -234,12 +234,21 @@ def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
     read = keys[0] == "channels" and keys[2:3] in (("values",), ("sigma",))
     if read or not paths.is_floating(value):
         raise paths.unknown(path, known_paths(model))
+    if is_clock(model, keys):
+        problem = "is the clock of the base's record, which is read and not found"
+        remedy = "free another field of it, or the delay of a channel"
+        raise FieldError("Free.path", path, problem, remedy)
     return keys, value
 
 
 def known_paths(model: Model) -> list[str]:
     """Paths of all numbers that can be free."""
-    parts = [*paths.floats(model.scene), *paths.floats(model.start, "start")]
+    parts = [
+        path
+        for path in paths.floats(model.scene)
+        if not is_clock(model, ("scene", *paths.keys_of(path)))
+    ]
+    parts += paths.floats(model.start, "start")
     if model.modes is not None:
         parts += paths.floats(model.modes, "modes")
     for name, channel in model.channels.items():
