@@ -186,3 +186,43 @@ def test_derivatives_through_changes(name):
     pull = jax.jit(lambda ct: jax.vjp(whole, at)[1](ct)[0])
     reverse = np.stack([pull(row) for row in jnp.eye(forward.shape[0])])
     assert (np.abs(reverse * np.asarray(at) - forward) < PROMISED * size).all()
+
+
+def test_the_direction_of_a_slip_that_has_just_begun():
+    """A plate whose acceleration a turns: F = mu m g a / |a| from the onset on.
+
+    It slips from 2/7 |a| > mu g. The second output is the end of the step behind which
+    the slip has its own direction (it is faster than 1e-5 m/s, and was not before).
+    """
+    mu, g, A, p = 0.2, 9.81, 10.0, 60.0
+    ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    moves = lambda t, p: jnp.stack([A * t**3 / 6.0, p * t**4 / 24.0, 0.0 * t])
+    pushes = lambda t, p: jnp.stack([A * t, p * t**2 / 2.0])
+    half = 2.0 * A**2 / p**2
+    onset = np.sqrt(np.sqrt(half**2 + (2.0 * 3.5 * mu * g / p) ** 2) - half)
+    times = np.array([0.0, onset + 5e-4, onset + 9.9e-4])
+
+    def scene(p):
+        return rk.Scene(ball, rk.Base(rk.Plane(), rk.BaseMotion(moves, parameters=p)))
+
+    start = rk.place(scene(p), UP, STILL, STILL)
+
+    def force(p):
+        modes = rk.Modes(friction=mu)
+        run = rk.simulate(scene(p), start, times, modes=modes, rtol=1e-12)
+        return run.contact_force[1:, :2], run.state.parts.slip[1:]
+
+    def known(p):
+        along = jax.vmap(lambda t: pushes(t, p))(times[1:])
+        return mu * g * along / jnp.linalg.norm(along, axis=1, keepdims=True)
+
+    found, slip = force(p)
+    speed = np.linalg.norm(slip, axis=1)
+    assert speed[0] < 1e-5 < speed[1] < 2e-5
+    # forces of some newtons by a solve of three unknowns: some hundred roundings. Their
+    # derivatives, N per unit of 60, turn by the last Newton step of the direction,
+    # whose angle is known to 1e-7 rad squared
+    np.testing.assert_allclose(found, known(p), atol=1e-13)
+    for mode in (jax.jacfwd, jax.jacrev):
+        by_p = mode(lambda p: force(p)[0])(p)
+        np.testing.assert_allclose(by_p, jax.jacfwd(known)(p), atol=1e-12)

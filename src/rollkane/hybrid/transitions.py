@@ -170,7 +170,7 @@ class Motion(ModeRates):
         if not self.modes.lifts:  # friction goes with the size of the normal force
             slips = slipping(scene, mu, s, y, follows=True, turns=False)
             mu = mu * sign(at_contact(slips, t, sliding).press)
-        s, n = jax.lax.stop_gradient((on_body(s), -contact.normal))
+        s, n = on_body(s), -contact.normal
         limit, across = n - mu * s, cross(n, s)
         by_limit, by_across = matvec(G, limit), matvec(G, across)
         share = dot(n, by_across) / not_zero(dot(n, by_limit))
