@@ -228,6 +228,17 @@ def test_second_derivatives(method):
     np.testing.assert_allclose(*found, rtol=1e-9)
 
 
+def test_reverse_mode_over_a_derivative_is_refused_with_the_way_that_works():
+    def f(spin):
+        scene, start = problems.disc(spin)
+        return rk.simulate(scene, start, [0.0, 0.1]).position[-1, 0]
+
+    for twice in (jax.grad(jax.grad(f)), jax.jacrev(jax.jacfwd(f))):
+        for way in (twice, jax.jit(twice)):
+            with pytest.raises(rk.FieldError, match=r"jax\.jacfwd\(jax\.grad\(f\)\)"):
+                way(DISC_SPIN)
+
+
 @pytest.mark.slow
 def test_closure_over_a_traced_number():
     """A user's function may close over what is differentiated."""

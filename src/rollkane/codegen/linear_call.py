@@ -31,12 +31,14 @@ class Linear(NamedTuple):
         many: ``forward`` for operands with an axis in front, if it knows them.
         again: The same functions in a form that can be differentiated by the residuals;
             None: as they are.
+        refuse: Raises where the transpose is asked for; None: there is one.
     """
 
     forward: Along
     backward: Along
     many: Along | None = None
     again: "Linear | None" = None
+    refuse: Callable[[], None] | None = None
 
     @property
     def transpose(self) -> "Linear":
@@ -58,7 +60,7 @@ class Linear(NamedTuple):
         shared = all(axis is None for axis in axes)
         forward = self.many if self.many and shared else over(self.forward)
         again = None if self.again is None else self.again.mapped(axes)
-        return Linear(forward, over(self.backward), again=again)
+        return Linear(forward, over(self.backward), again=again, refuse=self.refuse)
 
 
 def linear_call(
@@ -124,6 +126,8 @@ def _transpose(
     count: int,
     outputs: tuple[ShapedArray, ...],
 ) -> list[Array | None]:
+    if linear.refuse is not None:  # now: before what is transposed ahead of it
+        linear.refuse()
     residuals, operands = args[:count], args[count:]
     filled = [
         jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c

@@ -20,6 +20,7 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
 from ..codegen.linear_call import Linear, linear_call, shapes_of
+from ..validation.checks import FieldError
 
 # A tree in two parts, and a tree as its leaves and its structure.
 _Two: TypeAlias = tuple[Any, Any]
@@ -178,10 +179,10 @@ class _Replay(NamedTuple):
         assert self.push is not None
         inputs_of, varied, record, unreached = self.known.read(residuals)
         tangents_out = self.push(inputs_of, varied, record, list(tangents), self.once)
-        return [
+        return self._checked(
             jnp.where(u[None], jnp.nan, m)
             for u, m in zip(unreached, tangents_out, strict=True)
-        ]
+        )
 
     def forward(
         self, residuals: Sequence[Array], tangents: Sequence[Array]
@@ -192,10 +193,10 @@ class _Replay(NamedTuple):
         inputs_of, varied, record, unreached = self.known.read(residuals)
         outputs_of = self._outputs(inputs_of, record, dfx.ForwardMode())
         tangents_out = jax.jvp(outputs_of, (varied,), (list(tangents),))[1]
-        return [
+        return self._checked(
             jnp.where(u, jnp.nan, m)
             for u, m in zip(unreached, tangents_out, strict=True)
-        ]
+        )
 
     def backward(
         self, residuals: Sequence[Array], cotangents: Sequence[Array]
@@ -215,7 +216,14 @@ class _Replay(NamedTuple):
         else:
             tree = jax.tree.unflatten(self.known.outputs, known)
             pulled = self.pull(inputs_of, varied, record, tree, self.once)
-        return [jnp.where(misses, jnp.nan, m) for m in pulled]
+        return self._checked(jnp.where(misses, jnp.nan, m) for m in pulled)
+
+    def _checked(self, moved: Iterable[Array]) -> list[Array]:
+        """A derivative; one that is differentiated again only goes forwards."""
+        moved = list(moved)
+        if self.once:
+            return moved
+        return linear_call(_FORWARDS, (), moved, shapes_of(moved))
 
     def _outputs(
         self, inputs_of: InputsOf, record: Any, adjoint: dfx.AbstractAdjoint
@@ -225,6 +233,23 @@ class _Replay(NamedTuple):
             return jax.tree.leaves(eqx.filter(outputs, eqx.is_inexact_array))
 
         return outputs_of
+
+
+def _same(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
+    del residuals
+    return list(operands)
+
+
+def _refuse_backwards() -> None:
+    problem = "has no derivative in reverse mode of one along the steps that it took"
+    remedy = (
+        "take the outer derivative forwards, as jax.jacfwd(jax.grad(f)) or "
+        "jax.hessian(f), or give adjoint=diffrax.DirectAdjoint()"
+    )
+    raise FieldError("simulate", "reverse mode over a derivative", problem, remedy)
+
+
+_FORWARDS = Linear(_same, _same, refuse=_refuse_backwards)
 
 
 def _no_tangent(x: Any) -> np.ndarray:
