@@ -158,6 +158,10 @@ REFUSED = {
     "no event": (dict(events="nothing"), "is no event"),
     "no code": (dict(ends=(99,)), "is no code"),
     "times": (dict(times=[0.0, 0.0]), "times"),
+    "drawn modes": (
+        dict(modes=lambda draw: rk.Modes(friction=draw["mass"])),
+        "Study.modes: must be Modes, the same for all members",
+    ),
     "a method": (dict(method="fast"), "is not known"),
     "no draws": (dict(distributions={}), "at least one distribution"),
     "no distribution": (dict(distributions={"mass": 1.0}), "must be a distribution"),

@@ -39,7 +39,8 @@ class Study:
         series: By name, the like at every output time.
         events: Events that are counted; their first times are kept.
         stop: Events that end a motion.
-        modes: How motions may change between rolling, slipping and flight.
+        modes: How motions may change between rolling, slipping and flight; the same
+            for all members: their numbers are not drawn.
         ends: Codes, besides success and an event that stops, with which a motion has
             ended as it should: what is observed there counts.
         options: ``rtol``, ``atol``, ``solver``, ``max_steps``, ``method``, as
@@ -68,7 +69,7 @@ class Study:
 
         Raises:
             FieldError: no function, no distribution, nothing to look at, a name that
-                cannot be one, times out of order, an unknown code.
+                cannot be one, no modes, times out of order, an unknown code.
         """
         if not callable(make):
             remedy = "give a function of the draw that returns (scene, start)"
@@ -79,6 +80,13 @@ class Study:
         self.observe = _functions("observe", observe)
         self.series = _functions("series", series)
         self.events, self.stop = _events("events", events), _events("stop", stop)
+        if not isinstance(cast(Any, modes), Modes | None):
+            problem = "must be Modes, the same for all members"
+            remedy = (
+                "give Modes(...) of known numbers; draw those of the scene and the "
+                "start in make, and make a study for each friction and restitution"
+            )
+            raise FieldError("Study.modes", modes, problem, remedy)
         self.modes = modes
         self.ends = _ends(ends)
         if method not in METHODS:
