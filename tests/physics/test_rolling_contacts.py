@@ -453,6 +453,26 @@ def test_a_carriage_that_starts_on_a_crest_is_refused_by_its_row():
         assert "KaneSystem" not in str(refused.value)
 
 
+@pytest.mark.parametrize("tilt", [0.15, 1.2])
+@pytest.mark.parametrize("r", [0.1, 10.0])
+def test_a_start_that_closes_stays_where_it_is(r, tilt):
+    """A disc on its rim, which rolls: nearest to it is itself, wherever a search began.
+
+    It is off by the roundings of its own numbers: some of its size and of its speed.
+    """
+    c, s = np.cos(tilt), np.sin(tilt)
+    lowest = r * np.array([0.0, -c, -s])
+    q = [0.2, -0.1, r * s, np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0]
+    turns = np.array([1.0, 2.0, 3.0])
+    u = [*np.cross(lowest, turns), *turns]
+    free = kane.free_bodies([1.0], [r**2 * np.diag([0.25, 0.25, 0.5])])
+    rim = kane.RollingContact(free.frames[0], rk.DiscEdge(r), kane.ground, rk.Plane())
+    start = kane.rolling_contacts(free.system, [rim], q, u).start
+    few = 16.0 * np.finfo(float).eps * max(r, 1.0)
+    np.testing.assert_allclose(start.q[:7], q, rtol=0, atol=few)
+    np.testing.assert_allclose(start.u[:6], u, rtol=0, atol=10.0 * few)
+
+
 def test_bad_contacts_are_refused_by_name():
     flat, q, still = np.eye(3), [0.1, 0.2, 0.3], np.zeros(6)
     below = plate(0.0, 0.0, np.zeros(3), flat)

@@ -3,6 +3,7 @@
 NumPy, once for a system: contacts that follow from others are found by their rank.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -117,21 +118,11 @@ def closed_start(
         found = measured(shared, corrections, t, jnp.asarray(q))
         return Measured(*(np.asarray(x, float) for x in found))
 
+    # contacts alone first: else bodies go along, until contacts are where they belong
     now = at(q)
-    for _ in range(_TRIES):
-        size = np.abs(now.gaps).max(initial=0.0)
-        if not np.isfinite(size) or size < _CLOSED * (1.0 + np.abs(q).max()):
-            break
-        step = now.moves @ _least(now.by_place, now.gaps)
-        share, then = 1.0, now
-        for _ in range(12):  # no farther than it helps
-            then = at(q - share * step)
-            if np.abs(then.gaps).max() < size:
-                break
-            share *= 0.5
-        else:
-            break
-        q, now = q - share * step, then
+    of_contacts = ~now.moves[: shared.base.coordinates].any(axis=0)
+    for moved in (of_contacts, np.ones_like(of_contacts)):
+        q, now = _closed(at, q, now, moved)
     left = np.abs(now.gaps)
     if not np.all(left < 100.0 * _CLOSED * (1.0 + np.abs(q).max())):
         worst = int(np.argmax(np.where(np.isnan(left), np.inf, left)))
@@ -143,6 +134,30 @@ def closed_start(
             "start nearer to a place where all contacts touch, or give `near` to the "
             "contact, the place where it is",
         )
+    return q, now
+
+
+def _closed(
+    at: Callable[[np.ndarray], Measured],
+    q: np.ndarray,
+    now: Measured,
+    moved: np.ndarray,
+) -> tuple[np.ndarray, Measured]:
+    """Coordinates with gaps as small as these directions can make them, by Newton."""
+    for _ in range(_TRIES):
+        size = np.abs(now.gaps).max(initial=0.0)
+        if not np.isfinite(size) or size < _CLOSED * (1.0 + np.abs(q).max()):
+            break
+        step = now.moves[:, moved] @ _least(now.by_place[:, moved], now.gaps)
+        share, then = 1.0, now
+        for _ in range(12):  # no farther than it helps
+            then = at(q - share * step)
+            if np.abs(then.gaps).max() < size:
+                break
+            share *= 0.5
+        else:
+            break
+        q, now = q - share * step, then
     return q, now
 
 
