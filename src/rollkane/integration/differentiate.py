@@ -19,7 +19,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from ..codegen.linear_call import Linear, linear_call, shapes_of
+from ..codegen.linear_call import Linear, linear_call, shapes_of, unchanged
 from ..validation.checks import FieldError
 
 # A tree in two parts, and a tree as its leaves and its structure.
@@ -235,11 +235,6 @@ class _Replay(NamedTuple):
         return outputs_of
 
 
-def _same(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
-    del residuals
-    return list(operands)
-
-
 def _refuse_backwards() -> None:
     problem = "has no derivative in reverse mode of one along the steps that it took"
     remedy = (
@@ -249,7 +244,7 @@ def _refuse_backwards() -> None:
     raise FieldError("simulate", "reverse mode over a derivative", problem, remedy)
 
 
-_FORWARDS = Linear(_same, _same, refuse=_refuse_backwards)
+_FORWARDS = Linear(unchanged, unchanged, refuse=_refuse_backwards)
 
 
 def _no_tangent(x: Any) -> np.ndarray:

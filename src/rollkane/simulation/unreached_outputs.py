@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..codegen.linear_call import Linear, linear_call, shapes_of
+from ..codegen.linear_call import Linear, linear_call, shapes_of, unchanged
 
 # A number in place of one that no state has: halves make a quaternion of unit length,
 # directions that are not zero, and no point of symmetry.
@@ -77,11 +77,6 @@ def _used(x: Array) -> Array:
     return linear_call(_USED, (), (x,), shapes_of((x,)))[0]
 
 
-def _same(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
-    del residuals
-    return list(operands)
-
-
 def _nan_if_used(
     residuals: Sequence[Array], cotangents: Sequence[Array]
 ) -> list[Array]:
@@ -89,4 +84,4 @@ def _nan_if_used(
     return [jnp.where(c == 0.0, 0.0, jnp.nan).astype(c.dtype) for c in cotangents]
 
 
-_USED = Linear(_same, _nan_if_used)
+_USED = Linear(unchanged, _nan_if_used)
