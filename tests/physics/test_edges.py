@@ -53,7 +53,7 @@ def falls_flat(inertia: float, radius: float, tilt: float) -> float:
 
 
 WAYS = {
-    "diffrax": {},
+    "diffrax": {"method": "diffrax"},
     "native": {"method": "native"},
     "Voronets": {"coordinates": "voronets"},
     "twin": {"formulation": "euler_lagrange", "coordinates": "voronets"},
@@ -79,6 +79,21 @@ def test_a_disc_that_falls_straight_stops_when_it_lies(way):
         # default tolerance 1e-9 of a motion of 0.3 s that ends at 2.5 rad/s
         np.testing.assert_allclose(run.final_time, when, rtol=0, atol=1e-8)
     no_jump(run, times)
+
+
+@pytest.mark.parametrize("way", ["diffrax", "native", "modes"])
+def test_a_start_from_which_no_step_can_be_taken_is_shown(way):
+    """A disc within roundings of its face: the first output is the time it reached."""
+    scene, _ = disc(rk.DiscEdge(0.5))
+    start = rk.place(scene, (1.0, 5e-13, 0.0, 0.0), (0.1, 0.2, 0.3), ORIGIN)
+    run = rk.simulate(scene, start, [0.0, 0.5], **WAYS[way])
+    assert run.code == rk.Code.SURFACE_EDGE
+    assert run.final_time == 0.0
+    for quantity in ("orientation", "angular_velocity"):
+        first, second = np.asarray(getattr(run.state, quantity))
+        np.testing.assert_array_equal(first, getattr(run.final_state, quantity))
+        assert np.isnan(second).all()
+    np.testing.assert_array_equal(run.final_state.orientation, start.orientation)
 
 
 @pytest.mark.parametrize("surface", [rk.Ring(0.5), rk.Torus(0.45, 0.05)])

@@ -125,6 +125,8 @@ def _by_diffrax(
     time, final_time, *_ = cast("list[Array]", solution.ts)
     y, final_y, *recorded = cast("list[Array]", solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
+    if plan.saveat is None:
+        y = y.at[0].set(y0)  # diffrax leaves it out where no step could be taken
     outcome = Solution(
         time=time,
         y=y,
@@ -268,12 +270,9 @@ def _natively(
     if most is None:
         most = RECORDED_STEPS if recording else UNRECORDED_STEPS
     ended = loop(y0, course, most)
-    # a start from which no step can be taken is none: as by diffrax
-    stuck = (ended.steps == 0) & (ended.rejected_steps > 0)
-    begun = jnp.where(stuck, jnp.nan, y0)
     outcome = Solution(
         time=times,
-        y=jnp.concatenate([begun[None], ended.y]),
+        y=jnp.concatenate([y0[None], ended.y]),
         final_time=ended.final_time,
         final_y=ended.final_y,
         code=ended.code,
