@@ -165,6 +165,24 @@ def test_an_ensemble_with_changes_of_the_contact_names_the_field():
     assert "start.angular_velocity is NaN" in " ".join(runs.reasons)
 
 
+@pytest.mark.parametrize("height", [-0.1, np.nan, np.inf])
+def test_a_release_that_cannot_be_names_the_place_not_what_was_to_follow(height):
+    body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(body, rk.Base(rk.Graph(lambda x, y: 0.2 * (x * x + y * y))))
+    still = (0.0, 0.0, 0.0)
+
+    @jax.jit
+    def released(height):
+        place = jnp.stack([0.0 * height, 0.0 * height, height])
+        return rk.release(scene, (1.0, 0.0, 0.0, 0.0), still, place, still)
+
+    state = released(height)
+    assert jnp.isnan(state.position).all()
+    # a run names the first field with a NaN
+    assert jnp.isfinite(state.contact_on_base).all()
+    assert jnp.isfinite(released(0.5).position).all()
+
+
 def test_kane_systems_too():
     def run(mass):
         part = kane.Particle(mass, lambda t, q, u: [u[0], 0.0, 0.0])

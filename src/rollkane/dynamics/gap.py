@@ -94,13 +94,16 @@ def release(
     )
     t = real_and_known("release.time", time, (), "seconds", r.dtype)
     gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
+    apart = (gap >= 0.0) & (gap < jnp.inf)
     place = refuse(
         r,
-        ~(gap >= 0.0),
+        ~apart,
         "release.position",
         "is in the base, or the search for the nearest point of it failed",
         "let the body go above the base, or give near_on_base",
     )
+    # a place that is refused has no nearest points, and is what a run then names
+    on_base, on_body = (jnp.where(apart, x, 0.0) for x in (on_base, on_body))
     spin = matvec_transposed(rotation_matrix(e), w)
     return FlyingState(e, spin, on_base, on_body, a, a_dot, place, v)
 
