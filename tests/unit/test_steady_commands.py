@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import rollkane as rk
 from rollkane.cli import main
+from rollkane.files.scene_files import load_scene
 
 
 def run(*arguments):
@@ -24,6 +26,12 @@ def test_a_steady_motion_is_told_and_written(tmp_path):
     assert known["held"]["speed"] == pytest.approx(1.5, rel=1e-12)  # to rounding
     assert known["held"]["tilt"] == pytest.approx(np.deg2rad(70.0), rel=1e-12)
     assert len(known["eigenvalues"]) + len(known["zeros"]) == 8
+    start = known["start"]
+    assert set(start) == {"orientation", "angular_velocity", "contact_on_base"}
+    placed = rk.place(load_scene("rolling-disc").scene, **start)
+    for name, value in known["state"].items():
+        # of the size of what is turned there and back, 10 rad/s, in a few roundings
+        np.testing.assert_allclose(getattr(placed, name), value, rtol=0, atol=1e-13)
     sign = known["energy_sign"]
     assert sign["definite"] is False
     assert "does not vanish" in sign["reason"]

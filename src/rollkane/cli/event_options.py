@@ -45,6 +45,6 @@ def event_lines(result: Any) -> Iterator[str]:
         times = ", ".join(f"{float(t):.6g}" for t in crossings.times[:_SHOWN])
         more = ", ..." if count > _SHOWN else ""
         at = f" at {times}{more} s" if count else ""
-        yield f"  {f'event {name}':<18}{count} time{'' if count == 1 else 's'}{at}"
+        yield f"  {f'event {name}':<17} {count} time{'' if count == 1 else 's'}{at}"
     if int(result.code) and ended(result):
         yield f"  {'stopped':<18}at {float(result.final_time):.6g} s, by an event"

@@ -24,7 +24,7 @@ from .waiting import INTERRUPTED, waited
 _SHORT = 3.0
 # files that it writes, by their options
 _WRITTEN = "out", "plot", "path", "view", "gif", "mp4", "glb"
-# that --json has of the first and the last output that was reached
+# that --json has of the start and the end of what was reached
 _TOLD = (
     *("position", "velocity", "orientation", "angular_velocity"),
     *("contact_on_base", "contact_on_body", "normal_force", "energy"),
@@ -203,6 +203,7 @@ def _known(file: Any, result: Any, times: Any, timing: _Timing) -> dict[str, Any
     """What ``--json`` prints."""
     import numpy as np
 
+    result = result.with_its_end()
     reached = np.flatnonzero(np.isfinite(np.asarray(result.position)).all(axis=1))
     ends: dict[str, Any] = {"first": {}, "last": {}}
     for name, at in zip(ends, reached[[0, -1]] if reached.size else (), strict=False):

@@ -73,7 +73,7 @@ def steady(
         motion = steady_motion(file.scene, file.start, held)
     except FieldError as refused:
         raise click.UsageError(str(refused)) from refused
-    known = _motion_json(motion)
+    known = _motion_json(motion) | {"start": _start_json(file.scene, motion.state)}
     if energy_sign:
         known["energy_sign"] = _sign_json(motion.energy_sign)
     if printed:
@@ -238,6 +238,37 @@ def _motion_json(motion: Any) -> dict[str, Any]:
         "stable": motion.stable,
         "family": motion.family,
     }
+
+
+def _start_json(scene: Any, state: Any) -> dict[str, Any]:
+    """A state as the table ``[start]`` of a scene file has it."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from ..dynamics.abstract_supported import rolling_parts
+    from ..dynamics.rolling import contact_of
+    from ..geometry.rotations import quaternion_of
+    from ..geometry.small_linear import matvec
+
+    @jax.jit
+    def found(state: Any) -> dict[str, Any]:
+        contact = contact_of(scene, jnp.zeros(()), state)
+        turn = contact.rotation
+        start = {
+            "orientation": quaternion_of(turn),
+            "angular_velocity": matvec(turn, contact.angular_velocity),
+            "contact_on_base": contact.base_point,
+        }
+        if scene.base.surface.is_edge:
+            start["base_normal"] = -matvec(contact.to_base, contact.normal)
+        if scene.has_contact_coordinates:
+            start["near_on_body"] = contact.body_point
+        if scene.coordinate_count and not rolling_parts(scene.supported):
+            start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
+        return start
+
+    return {name: np.asarray(x).tolist() for name, x in found(state).items()}
 
 
 def _sign_json(sign: Any) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from .friction import AbstractFriction
 
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9
-# [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 and 10 rad/s of turn its
-# direction is off by ONSET 10 / 3 = 3e-5, and its velocity by 3e-10 m/s
+# [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 its direction lags by ONSET
+# times its turn over that, which is left out: 3e-5 for 10 rad/s, 3e-10 m/s of the slip
 ONSET = 1e-5
 # The search for that direction: at most so far at once [rad], until so near that one
 # step more is rounding (its error is squared), at most so often: half a turn and ten

@@ -53,7 +53,12 @@ _MOVING = {
         "1",
         "base to fixed",
     ),
-    "moving_energy": ((), "energy less v_Oc . P and w_c . J", "J", ""),
+    "moving_energy": (
+        (),
+        "energy less v_Oc . P and w_c . J_Oc, about its origin",
+        "J",
+        "",
+    ),
 }
 _WORK = {"power": ((), "rate at which energy is given to the system", "W", "")}
 _SLIDING = {"slip": (_AXIS, "velocity of the body over the base", "m/s", "fixed")}

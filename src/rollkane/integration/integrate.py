@@ -30,7 +30,7 @@ from ..validation.checks import (
     refuse,
     whole,
 )
-from ..validation.codes import NO_FAULT, Code, first_fault
+from ..validation.codes import NO_FAULT, first_fault
 from ..validation.remembered import of_numbers
 from .along_steps import by_steps_of
 from .differentiate import differentiable
@@ -114,13 +114,12 @@ def _integrated(
     rtol, atol, by_size = tolerances
     asked = (rtol, atol) if dt0 is None else (rtol, atol, dt0)
     fault, code_of_fault = first_fault(model, start, in_order(times), asked)
-    good = fault == NO_FAULT
     fixed_stops = jax.lax.stop_gradient(stops.time)
     start = plan.problem.consistent(model, fixed_stops[0], start)
     y0 = pack(start)
-    finite = jnp.all(jnp.isfinite(y0))
+    good = (fault == NO_FAULT) & jnp.all(jnp.isfinite(y0))
     # NaN would keep the step controller going for ever; zero stops it at the start
-    y0 = cleared(y0, good & finite)
+    y0 = cleared(y0, good)
     y0 = cast(Array, moved_in_time(rates, y0, times[0], model, -1.0))
     # likewise of tolerances and first step; what they give is not used. Each by itself:
     # a batch of starts must have no tolerances of its members' own, which lanes share
@@ -128,7 +127,7 @@ def _integrated(
     dt0 = None if dt0 is None else jnp.where(jnp.isfinite(dt0), dt0, 1.0)
     sizes = jax.lax.stop_gradient(coarse(pack(plan.problem.sizes(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
-    spoilt = jnp.where(good & finite, 0.0, jnp.nan).astype(y0.dtype)
+    spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
     fixed_events = jax.lax.stop_gradient(events)
     inputs = (model, y0, fixed_stops, rtol, atol, dt0, fixed_events, spoilt)
     if plan.adjoint is None:
@@ -146,8 +145,7 @@ def _integrated(
         solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
     if events:
         solution = at_their_zeros(solution, rates, events, model, like, times)
-    code = jnp.where(finite, solution.code, Code.BAD_START)
-    code = jnp.where(good, code, code_of_fault)
+    code = jnp.where(good, solution.code, code_of_fault)
     time = times if plan.saveat is None else solution.time
     return _outcome(dataclasses.replace(solution, time=time, code=code), like, fault)
 

@@ -125,11 +125,10 @@ def _by_diffrax(
     time, final_time, *_ = cast("list[Array]", solution.ts)
     y, final_y, *recorded = cast("list[Array]", solution.ys)
     y = jnp.where(jnp.isfinite(y), y, jnp.nan)
-    if plan.saveat is None:
-        y = y.at[0].set(y0)  # diffrax leaves it out where no step could be taken
     outcome = Solution(
         time=time,
-        y=y,
+        # diffrax leaves the start out where no step could be taken
+        y=y.at[0].set(y0) if plan.saveat is None else y,
         final_time=final_time[-1],
         final_y=final_y[-1],
         code=_code(solution.result, final_time[-1] == t0),

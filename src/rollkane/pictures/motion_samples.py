@@ -82,7 +82,7 @@ class MotionSamples(NamedTuple):
         body_outward: Unit normal out of the body there [1], body axes, shape (T, 3).
         contact_force: On the body [N], fixed axes, shape (T, 3).
         energy: Kinetic plus potential energy [J], shape (T,).
-        moving_energy: ``E - v_Oc . P - w_c . J`` [J], shape (T,).
+        moving_energy: ``E - v_Oc . P - w_c . J_Oc`` [J], shape (T,).
         base_origin: Of the base's axes [m], fixed axes, shape (T, 3).
         base_orientation: Unit quaternion, base to fixed axes [1], shape (T, 4).
         base_velocity: Of the base's origin [m/s], fixed axes, shape (T, 3).
@@ -91,6 +91,7 @@ class MotionSamples(NamedTuple):
         carried: Where carried masses are [m], body axes, shape (T, k, 3); a rigid body
             is six masses on its own axes, with its moments of inertia.
         masses: Of each of them [kg], shape (k,).
+        things: Of which mass or rigid body it is, counted from 0, shape (k,).
         rolling: Of each body that rolls on or in the body, in the order of its path:
             position, velocity, orientation and angular velocity, fixed axes, contact
             point on it and normal out of it, its own axes, the same of its carrier's
@@ -123,6 +124,7 @@ class MotionSamples(NamedTuple):
     carried: np.ndarray
     rolling: np.ndarray
     masses: np.ndarray
+    things: np.ndarray
     base_moves: bool
     kept: str
     rounding: float
@@ -180,9 +182,16 @@ class MotionSamples(NamedTuple):
         raise KeyError(name)
 
     @property
+    def carried_centers(self) -> np.ndarray:
+        """Mass centres of carried masses and rigid bodies [m], body axes, (T, c, 3)."""
+        points = np.bincount(self.things)
+        share = np.eye(points.size)[self.things] / points
+        return np.einsum("tki,kc->tci", self.carried, share)
+
+    @property
     def columns(self) -> dict[str, np.ndarray]:
         """What has a row for each time, by name."""
-        whole = ("masses", "base_moves", "kept", "rounding")
+        whole = ("masses", "things", "base_moves", "kept", "rounding")
         return {k: v for k, v in self._asdict().items() if k not in whole}
 
     def rows(self, which: np.ndarray) -> "MotionSamples":
@@ -222,13 +231,15 @@ def motion_samples(trajectory: Trajectory) -> MotionSamples:
     columns["orientation"] = np.asarray(trajectory.orientation, dtype=float)
     turned = jnp.asarray(columns["base_orientation"])
     columns["base_orientation"] = np.asarray(in_one_sense(turned))
+    masses = _masses(scene)
     return MotionSamples(
         time=np.asarray(trajectory.time, dtype=float),
         **columns,
         alpha=np.asarray(trajectory.alpha, dtype=float),
         carried=carried.reshape(len(rows), -1, 3),
         rolling=rolling.reshape(len(rows), -1, sum(_ROLLING.values())),
-        masses=_masses(scene),
+        masses=np.concatenate([np.zeros(0), *masses]),
+        things=np.repeat(np.arange(len(masses)), [x.size for x in masses]),
         base_moves=scene.base.motion is not None,
         kept=kept_energy(scene),
         rounding=float(cast(float, jnp.finfo(trajectory.time.dtype).eps)),
@@ -353,17 +364,22 @@ def _spread(part: SupportedBody) -> Float[Array, "3"]:
     return jnp.sqrt(jnp.maximum(1.5 * across / part.mass, 0.0))
 
 
-def _masses(scene: Scene) -> np.ndarray:
-    """Mass of every point of ``_carried_rows`` [kg]."""
+def _masses(scene: Scene) -> list[np.ndarray]:
+    """Masses of the points of ``_carried_rows`` [kg], of each mass and rigid body."""
     masses: list[np.ndarray] = []
     for supported in scene.supported:
         if isinstance(supported, AbstractRollingPart):
             continue
         own: Any = supported.part
         mass = np.asarray(own.mass, dtype=float)
-        masses.append(np.full(6, mass / 6) if isinstance(own, SupportedBody) else mass)
-    masses += [_masses_beside(part.scene) for part in rolling_parts(scene.supported)]
-    return np.concatenate([np.zeros(0), *masses])
+        if isinstance(own, SupportedBody):
+            masses.append(np.full(6, mass / 6))
+        else:
+            masses += np.split(mass, mass.size)
+    for part in rolling_parts(scene.supported):
+        beside = _masses_beside(part.scene)
+        masses += np.split(beside, beside.size) if beside.size else []
+    return masses
 
 
 def _masses_beside(scene: Scene) -> np.ndarray:

@@ -51,11 +51,13 @@ def summary(trajectory: Trajectory) -> list[str]:
         normal force while there is a contact [N] (or when it would first have had to
         pull), the friction coefficient that rolling needed [1], and of each body that
         rolls on or in the body where it came to, the path of its contact on its carrier
-        [m] and its normal force [N].
+        [m] and its normal force [N]. All at the outputs that the run reached, and
+        where it ended.
 
     Raises:
         FieldError: a batch.
     """
+    trajectory = trajectory.with_its_end()
     motion = motion_samples(trajectory)
     rows = np.nonzero(motion.reached)[0]
     lines: list[str] = []

@@ -42,9 +42,10 @@ def what_happened(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
         far = np.linalg.norm(places - places[0], axis=1)
         lines.append(line("over the base", _farthest(touching.time, far)))
     if motion.masses.size:
-        distance = np.linalg.norm(motion.carried - motion.carried[0], axis=2)
+        places = motion.carried_centers
+        distance = np.linalg.norm(places - places[0], axis=2)
         which = int(np.argmax(np.max(distance, axis=0)))
-        name = f"carried mass {which}" if motion.masses.size > 1 else "carried mass"
+        name = f"carried mass {which}" if places.shape[1] > 1 else "carried mass"
         text = _farthest(motion.time, distance[:, which])
         lines.append(line(name, f"{text}, in the body"))
     return lines

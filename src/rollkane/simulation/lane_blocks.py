@@ -160,7 +160,7 @@ class LaneBlocks:
         axes = self._members.axes()
         prepared = _prepared(axes, count, scene, starts, self._times[0], span)
         begun: list[NDArray[Any]] = [np.asarray(x)[:wanted] for x in prepared]
-        y0, sizes, steps, fault, code_of_fault = begun
+        y0, sizes, steps, fault, code_of_fault, good = begun
         own, shared = [np.zeros((wanted, 0))], [np.zeros(0)]
         ready = self._ready(scene, count)
         for leaf, axis in zip(ready, self._axes, strict=True):
@@ -196,7 +196,6 @@ class LaneBlocks:
         y = np.concatenate([y0[:, None], results.y], axis=1)
         if self._outputs.last is not None:
             y = y[:, self._outputs.last]
-        good = fault == NO_FAULT
         y[~good], results.final_y[~good] = np.nan, np.nan
         if results.moments is not None and results.numbers is not None:
             results.moments[~good] = np.nan
@@ -311,15 +310,18 @@ def _shape_of(x: Any) -> jax.ShapeDtypeStruct:
 
 
 def _readied(scene: Scene, start: Any, time: Any, span: Any) -> tuple[Array, ...]:
-    """A packed start, sizes of its numbers, the first step [s], and what is wrong."""
+    """A packed start, sizes of its numbers, the first step [s], and what is wrong.
+
+    That as a field's number, a code, and whether there is none.
+    """
     fault, code = first_fault(scene, start, jnp.asarray(True))
     start = consistent(scene, time, start)
     y = pack(start)
-    # a start that is not finite ends at once, by its code
-    y = jnp.where((fault == NO_FAULT) & jnp.all(jnp.isfinite(y)), y, 0.0)
+    good = (fault == NO_FAULT) & jnp.all(jnp.isfinite(y))
+    y = jnp.where(good, y, 0.0)
     step = coarse(first_step(start.angular_velocity, span))
     step = jnp.where(jnp.isfinite(step), step, 1.0)
-    return y, coarse(pack(error_sizes(start))), step, fault, code
+    return y, coarse(pack(error_sizes(start))), step, fault, code, good
 
 
 @eqx.filter_jit

@@ -161,7 +161,11 @@ class AbstractMotion(abc.ABC):
 
     @property
     def contact_force(self) -> Float[Array, "T 3"]:
-        """Force of the base on the body [N], fixed axes, shape (T, 3), (6.2)."""
+        """Force of the base on the body [N], fixed axes, shape (T, 3), (6.2).
+
+        While a slip begins (below 1e-5 m/s, at most about a millisecond) friction's
+        direction leaves out how it lags, some 1e-4 of the friction: (8.5).
+        """
         return self.each(contact_force)
 
     @property
@@ -192,7 +196,7 @@ class AbstractMotion(abc.ABC):
 
     @property
     def moving_energy(self) -> Float[Array, " T"]:
-        """``E - v_Oc . P - w_c . J`` [J], shape (T,): kept on a steady turntable."""
+        """``E - v_Oc . P - w_c . J_Oc`` [J], shape (T,): kept on a steady turntable."""
         return self.each(observables.moving_energy)
 
     @property

@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -14,7 +15,7 @@ from ..dynamics.diagnosis import first_not_finite
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, ModedState, Switches
 from ..kinematics.voronets import AnyState
-from ..validation.checks import is_traced
+from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, outcome_of
 from ..validation.shown import described, in_a_line
 from .event_record import EventRecord
@@ -110,6 +111,28 @@ class Trajectory(AbstractMotion):
         if self.switches is not None:
             return self.switches.first_lift
         return super().first_pull
+
+    def with_its_end(self) -> "Trajectory":
+        """A single run with its end among the outputs, in place of the next one.
+
+        The outputs of a run that ended between two of them (by an event, say) do not
+        hold it. Where they do, or none was reached, the run itself.
+
+        Raises:
+            FieldError: a batch.
+        """
+        if np.ndim(self.final_time):
+            problem = "is a batch, of which every run ends at its own time"
+            remedy = "take one run: jax.tree.map(lambda x: x[i], trajectory)"
+            raise FieldError("trajectory", np.shape(self.final_time), problem, remedy)
+        time, end = np.asarray(self.time), float(self.final_time)
+        count = int(np.sum(np.abs(time - time[0]) <= abs(end - time[0])))
+        if not 0 < count < time.size or time[count - 1] == end:
+            return self
+        rows = lambda run: (run.time, run.state)
+        ends = self.final_time, self.final_state
+        put = lambda x, end: jnp.asarray(x).at[count].set(end)
+        return eqx.tree_at(rows, self, jax.tree.map(put, rows(self), ends))
 
     def to_xarray(self) -> Any:
         """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""

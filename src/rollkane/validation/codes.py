@@ -168,7 +168,8 @@ def first_fault(
         steps: ``rtol``, ``atol``, ``dt0``, as many as may have been traced.
 
     Returns:
-        The field's number in ``Fields`` (``NO_FAULT``: none) and the code.
+        The field's number in ``Fields`` (``NO_FAULT``: none) and the code
+        (``BAD_START``, too, where it is none).
     """
     model, start = jax.tree.leaves(model), jax.tree.leaves(start)
     flags = [_spoiled(x) for x in (*model, *start)] + [~in_order[None]]
@@ -179,11 +180,7 @@ def first_fault(
     spoiled = jnp.concatenate(flags)
     first = jnp.min(jnp.where(spoiled, jnp.asarray(owners), count))
     code = jnp.where(first < len(model), Code.BAD_SCENE, Code.BAD_START)
-    found = first < count
-    return (
-        jnp.where(found, first, NO_FAULT),
-        jnp.where(found, code, Code.COMPLETED),
-    )
+    return jnp.where(first < count, first, NO_FAULT), code
 
 
 def _spoiled(x: ArrayLike) -> Bool[Array, " n"]:

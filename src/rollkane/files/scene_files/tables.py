@@ -103,8 +103,8 @@ class StartTable(Table):
     )
     alpha: list[float] | None = Field(
         default=None,
-        description="a list of the coordinates of all that is supported; left out, "
-        "zeros",
+        description="a list of the coordinates of all that is supported, without those "
+        "whose motion is given; left out, zeros",
     )
     alpha_dot: list[float] | None = Field(
         default=None, description="a list of their rates; left out, zeros"
