@@ -268,7 +268,8 @@ def _start_json(scene: Any, state: Any) -> dict[str, Any]:
             start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
         return start
 
-    return {name: np.asarray(x).tolist() for name, x in found(state).items()}
+    start: dict[str, Any] = found(state)
+    return {name: np.asarray(x).tolist() for name, x in start.items()}
 
 
 def _sign_json(sign: Any) -> dict[str, Any]:

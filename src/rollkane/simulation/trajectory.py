@@ -129,10 +129,13 @@ class Trajectory(AbstractMotion):
         count = int(np.sum(np.abs(time - time[0]) <= abs(end - time[0])))
         if not 0 < count < time.size or time[count - 1] == end:
             return self
-        rows = lambda run: (run.time, run.state)
-        ends = self.final_time, self.final_state
-        put = lambda x, end: jnp.asarray(x).at[count].set(end)
-        return eqx.tree_at(rows, self, jax.tree.map(put, rows(self), ends))
+
+        def put(rows: Array, end: Array) -> Array:
+            return jnp.asarray(rows).at[count].set(end)
+
+        times = put(self.time, self.final_time)
+        states = jax.tree.map(put, self.state, self.final_state)
+        return dataclasses.replace(self, time=times, state=states)
 
     def to_xarray(self) -> Any:
         """The trajectory as an ``xarray.Dataset`` with units (extra ``results``)."""
