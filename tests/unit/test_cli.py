@@ -9,11 +9,14 @@ import subprocess
 import sys
 
 import click.testing
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import rollkane as rk
 from rollkane.cli import main
+from rollkane.cli.output_files import write
 from rollkane.cli.preparation import start_jax
 from rollkane.codegen import NoCompilerError
 from rollkane.files.scene_files import load_scene
@@ -283,8 +286,21 @@ def test_a_start_that_cannot_move(folder):
     )
     assert result.exit_code == 3
     assert "stopped at t = 0 s of 1 s: the start cannot be used" in result.output
-    assert "did not write none.html" in result.output
-    assert set(os.listdir(folder)) == {"ball.toml", "fast.toml", "none.nc"}
+    # both hold the start, of which neither is a number
+    for told in ("energy            is no", "normal force      is no"):
+        assert told in result.output
+    assert set(os.listdir(folder)) == {"ball.toml", "fast.toml", "none.nc", "none.html"}
+
+
+def test_a_run_without_any_state_shows_nothing(folder, capsys):
+    file = load_scene("ball.toml")
+    mass = lambda scene: scene.body.mass
+    scene = eqx.tree_at(mass, file.scene, jnp.asarray(np.nan))
+    run = rk.simulate(scene, file.start, file.times)
+    assert run.code == rk.Code.BAD_SCENE
+    assert not write("view", run, folder / "none.html", "")
+    assert "did not write" in capsys.readouterr().err
+    assert not (folder / "none.html").exists()
 
 
 def test_a_disk_that_refuses(folder, monkeypatch):

@@ -6,7 +6,7 @@ Everything heavy is imported inside the functions, as in the other commands.
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -251,7 +251,6 @@ def _start_json(scene: Any, state: Any) -> dict[str, Any]:
     from ..geometry.rotations import quaternion_of
     from ..geometry.small_linear import matvec
 
-    @jax.jit
     def found(state: Any) -> dict[str, Any]:
         contact = contact_of(scene, jnp.zeros(()), state)
         turn = contact.rotation
@@ -268,7 +267,7 @@ def _start_json(scene: Any, state: Any) -> dict[str, Any]:
             start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
         return start
 
-    start: dict[str, Any] = found(state)
+    start = cast("dict[str, Any]", jax.jit(found)(state))
     return {name: np.asarray(x).tolist() for name, x in start.items()}
 
 

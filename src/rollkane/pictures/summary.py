@@ -235,7 +235,10 @@ def _energy_line(trajectory: Trajectory, motion: MotionSamples) -> str:
     """Drift of the energy that the motion has to keep; else how it changed."""
     if not motion.kept:
         return work_line(trajectory, motion)
-    drift = f"{np.nanmax(motion.energy_error):.1e}"
+    known = motion.energy_error[np.isfinite(motion.energy_error)]
+    if not known.size:
+        return line("energy", "is no finite number")
+    drift = f"{np.max(known):.1e}"
     if motion.kept == "energy":
         return line("energy drift", drift)
     return line("energy drift", f"{drift} of the moving energy E - w_c . J")
@@ -246,6 +249,9 @@ def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
     motion = motion.rows(motion.touches)
     if not motion.time.size:
         return [line("normal force", "none, it flies")]
+    motion = motion.rows(np.isfinite(motion.contact_force).all(axis=1))
+    if not motion.time.size:
+        return [line("normal force", "is no finite number")]
     press, time = motion.normal_force, motion.time
     if np.max(np.abs(motion.contact_force)) <= _NO_WEIGHT * mass:
         return [line("normal force", "none")]
