@@ -249,7 +249,8 @@ def _force_lines(trajectory: Trajectory, motion: MotionSamples) -> list[str]:
     motion = motion.rows(motion.touches)
     if not motion.time.size:
         return [line("normal force", "none, it flies")]
-    motion = motion.rows(np.isfinite(motion.contact_force).all(axis=1))
+    known = np.isfinite(motion.contact_force).all(axis=1)
+    motion = motion.rows(np.flatnonzero(known))
     if not motion.time.size:
         return [line("normal force", "is no finite number")]
     press, time = motion.normal_force, motion.time
