@@ -286,7 +286,7 @@ def test_a_start_that_cannot_move(folder):
     )
     assert result.exit_code == 3
     assert "stopped at t = 0 s of 1 s: the start cannot be used" in result.output
-    # both hold the start, of which neither is a number
+    # files hold the start, whose energy and force are beyond the largest number
     for told in ("energy            is no", "normal force      is no"):
         assert told in result.output
     assert set(os.listdir(folder)) == {"ball.toml", "fast.toml", "none.nc", "none.html"}
