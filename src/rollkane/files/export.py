@@ -55,7 +55,7 @@ _MOVING = {
     ),
     "moving_energy": (
         (),
-        "energy less v_Oc . P and w_c . J_Oc, about its origin",
+        "energy less v_Oc . P and w_c . J_Oc, Oc the base's origin",
         "J",
         "",
     ),

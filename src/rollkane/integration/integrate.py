@@ -4,11 +4,11 @@ What moves is a tree of numbers (a model: a scene, a system) and a state; the re
 the library only says which function gives the rates.
 """
 
-import dataclasses
 import functools
 import inspect
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 import diffrax as dfx
@@ -147,14 +147,13 @@ def _integrated(
         solution = at_their_zeros(solution, rates, events, model, like, times)
     code = jnp.where(good, solution.code, code_of_fault)
     time = times if plan.saveat is None else solution.time
-    return _outcome(dataclasses.replace(solution, time=time, code=code), like, fault)
+    return _outcome(replace(solution, time=time, code=code), like, fault, good)
 
 
-def _outcome(found: Solution, like: Any, fault: Array) -> Outcome:
-    """What came out, as states."""
+def _outcome(found: Solution, like: Any, fault: Array, good: Array) -> Outcome:
+    """What came out, as states; of a start that was not ``good`` no events."""
     happened = found.happened
     if happened is not None:
-        good = fault == NO_FAULT
         happened = happened._replace(
             y=unpack(happened.y, like),
             number=jnp.where(good, happened.number, 0),
