@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane.codegen import NoCompilerError, programs_awaited, targets
+from rollkane.codegen import NoCompilerError, ProgramsAwaited, targets
 from rollkane.codegen.compiler import Program
 from rollkane.codegen.ffi_call import XlaCall
 
@@ -64,10 +64,10 @@ def test_a_program_that_cannot_be_compiled_is_told_wherever_it_is_called():
     for text in ("no C 1", "no C 2"):  # tried once more, and at first
         with (
             pytest.raises(NoCompilerError, match="the C compiler failed"),
-            programs_awaited(),
+            ProgramsAwaited(),
         ):
             jax.jit(call_of(text))(x)
-    with programs_awaited():  # nothing is left of it
+    with ProgramsAwaited():  # nothing is left of it
         np.testing.assert_array_equal(jax.jit(call_of(times(5)))(x), 5.0 * x)
 
 
@@ -80,7 +80,7 @@ def test_a_program_that_failed_once_is_there_when_it_can_be(monkeypatch):
         patch.setattr(Program, "loaded", fails)
         with (
             pytest.raises(NoCompilerError, match="the disk is full"),
-            programs_awaited(),
+            ProgramsAwaited(),
         ):
             jax.jit(lambda x: call(x))(x)
     np.testing.assert_array_equal(jax.jit(lambda x: call(x))(x), 7.0 * x)

@@ -12,7 +12,7 @@ from .member_lanes import Bounds, Carried, LaneMode, MemberLanes
 from .platforms import platform
 from .right_hand_side import Looked, least_product, with_known_zeros, zeros_in, zeros_of
 from .run_loop import Course, RunLoop
-from .targets import check_usable, prepare_calls, programs_awaited
+from .targets import ProgramsAwaited, check_usable, prepare_calls
 from .whole_program import Whole, in_one_program, in_one_program_or_not
 
 __all__ = [
@@ -40,7 +40,7 @@ __all__ = [
     "least_product",
     "platform",
     "prepare_calls",
-    "programs_awaited",
+    "ProgramsAwaited",
     "with_known_zeros",
     "zeros_in",
     "zeros_of",

@@ -217,15 +217,15 @@ def _with_effort(
     def call(*arguments: Any) -> Any:
         nonlocal compiled
         while True:
-            # on a GPU they save little, and slow down what it runs
-            some = jax.default_backend() == "cpu"
-            known = {k: x for k, x in effort.items() if some and k not in _unknown}
             if compiled is None:
+                # on a GPU they save little, and slow down what it runs
+                some = jax.default_backend() == "cpu"
+                known = {k: x for k, x in effort.items() if some and k not in _unknown}
                 compiled = jit(compiler_options=known)
             try:
                 return compiled(*arguments)
             except RuntimeError as error:
-                unknown = [name for name in known if name in str(error)]
+                unknown = [x for x in effort if x not in _unknown and x in str(error)]
                 if not unknown:
                     raise
                 _unknown.add(unknown[0])

@@ -8,7 +8,7 @@ import contextlib
 import ctypes
 import functools
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -183,20 +183,24 @@ class _Expected(threading.local):
 _expected = _Expected()
 
 
-@contextlib.contextmanager
-def programs_awaited() -> Generator[None, None, None]:
+class ProgramsAwaited:
     """At its end, programs that XLA compiles calls of in the meantime are there.
+
+    Every call enters it, in less than half of the time that a generator takes.
 
     Raises:
         NoCompilerError: one of them cannot be compiled.
     """
-    expected = _expected.programs
-    before = len(expected)
-    try:
-        yield
-    finally:  # where XLA's call failed, the reason is there
-        own = expected[before:]
-        del expected[before:]
+
+    def __enter__(self) -> None:
+        """Begin to note them."""
+        self._before = len(_expected.programs)
+
+    def __exit__(self, *_: object) -> None:
+        """Wait for them; where XLA's call failed, the reason is there."""
+        expected = _expected.programs
+        own = expected[self._before :]
+        del expected[self._before :]
         for coming in own:
             coming.result()
 

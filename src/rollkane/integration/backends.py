@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 import diffrax as dfx
 import jax
 
-from ..codegen import NoCompilerError, platform, prepare_calls, programs_awaited
+from ..codegen import NoCompilerError, ProgramsAwaited, platform, prepare_calls
 from ..codegen.compiler import compiler_command
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import PLAIN, is_plain
@@ -128,7 +128,7 @@ def run_by(
     if refusal is None and unusable is None:
         prepare_calls()
         try:
-            with programs_awaited():
+            with ProgramsAwaited():
                 return Taken(run(native=True), "native", "")
         except NotElementwiseError as error:
             refusal = f"the rates are more than arithmetic: {error}"
