@@ -135,7 +135,8 @@ def _process(
     push = jnp.append(-mu * way, jnp.ones_like(mu))
     change = matvec(G, push)
     slows = -dot(way, change[:2])
-    stops = (slip == 0.0) | ((slows > 0.0) & (mu > 0.0))
+    # without friction nothing stops a slip, nor holds one that is zero
+    stops = (mu > 0.0) & ((slip == 0.0) | (slows > 0.0))
     until = jnp.where(stops, slip / jnp.where(slows > 0.0, slows, 1.0), jnp.inf)
     now = now.pushed(push, change, e, until)
     # what rounding and the straight way left of the slip goes as well

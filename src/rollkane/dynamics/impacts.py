@@ -146,7 +146,7 @@ def _by_newton(
     sliding = (rebound - u_n) / dot(G[2], limit) * limit
     along = sticking[:2]
     sticks = dot(along, along) <= (friction * sticking[2]) ** 2
-    sticks &= sticking[2] >= 0.0
+    sticks &= (sticking[2] >= 0.0) & (friction > 0.0)
     J = jnp.where(sticks, sticking, sliding)
     after = velocity + matvec(G, J)
     slip = jnp.where(sticks, 0.0, after[:2])

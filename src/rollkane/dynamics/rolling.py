@@ -161,6 +161,7 @@ class AtContact(NamedTuple):
         pull: Likewise [N].
         turn: Slip times the rate at which friction turns it [m/s^2]; zero: not asked.
         margin: As of :func:`painleve_margin` [1].
+        out: Normal of the base there, FIXED axes [1].
     """
 
     rates: Any
@@ -168,6 +169,7 @@ class AtContact(NamedTuple):
     pull: Float[Array, "3"]
     turn: Float[Array, ""]
     margin: Float[Array, ""]
+    out: Float[Array, "3"]
 
 
 @eqx.filter_jit
@@ -184,7 +186,8 @@ def at_contact(scene: Scene, t: Float[Array, ""], state: AnyState) -> AtContact:
     turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
     endless = jnp.full((), jnp.inf, force.dtype)
     margin = endless if solution.margin is None else solution.margin
-    return AtContact(rates, press, pull, turn, margin)
+    out = matvec(contact.rotation, contact.normal)
+    return AtContact(rates, press, pull, turn, margin, out)
 
 
 def contact_force(

@@ -245,7 +245,7 @@ class ModeRates(eqx.Module):
             return jax.tree.map(still, y), _nothing_seen(direction, t)
         law = modes.friction, direction, y, follows, turns
         scene = slipping(self.scenes.rolling, *law)
-        rates, press, pull, turn, _ = at_contact(scene, t, y.sliding())
+        rates, press, pull, turn, *_ = at_contact(scene, t, y.sliding())
         # friction goes with the normal force if that ends at zero, else with its size
         against = -sign(press) * pull if modes.lifts else -pull
         against = against / not_zero(safe_norm(against))

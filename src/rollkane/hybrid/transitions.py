@@ -193,17 +193,23 @@ class Motion(ModeRates):
     def settled(self, t: Float[Array, ""], y: HybridState) -> Begun:
         """Mode of a contact without slip, where its slip begins, and how it rolls.
 
-        It rolls if it is held; on rubber an impulse ends its spin about the normal.
+        It rolls if it is held, which without friction it is not even at rest; on rubber
+        an impulse ends its spin about the normal.
         """
         scene = self.scenes.rolling
         if scene.contact.without_spin:
             held = spin_stopped(scene, t, y.rolling())
             parts = held.angular_velocity, held.alpha_dot
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
-        _, press, pull, *_ = at_contact(scene, t, y.rolling())
+        now = at_contact(scene, t, y.rolling())
+        press, pull = now.press, now.pull
         mode = jnp.asarray(Mode.ROLLING)
-        if self.modes.sticking is not None:
-            held = dot(pull, pull) <= (self.modes.sticking * press) ** 2
-            mode = jnp.where(held, Mode.ROLLING, Mode.SLIPPING)
         # against the friction that would be needed, of the length that says it begins
-        return mode, -0.5 * pull / not_zero(safe_norm(pull)), y
+        way = -0.5 * pull / not_zero(safe_norm(pull))
+        if self.modes.sticking is not None:
+            sticks = self.modes.sticking > 0.0
+            held = dot(pull, pull) <= (self.modes.sticking * press) ** 2
+            mode = jnp.where(sticks & held, Mode.ROLLING, Mode.SLIPPING)
+            # no friction looks for a way: a slip has its own at once, and rest has none
+            way = jnp.where(sticks, way, now.out)
+        return mode, way, y
