@@ -91,11 +91,11 @@ def test_members_do_not_depend_on_the_size(kind):
     np.testing.assert_array_equal(few, many)
 
 
-@pytest.mark.parametrize("size", [16, 32, 160, 1000])
+@pytest.mark.parametrize("size", [16, 32, 37, 160, 200, 1000])
 def test_every_latin_set_is_a_latin_hypercube(size):
     latin = sampler("latin", 3, 5, size)
     u, groups = latin.uniforms(0, size), latin.groups(0, size)
-    length = max(2, -(-size // SETS))
+    length = latin.set_size
     assert latin.group_count == len(np.unique(groups)) == groups.max() + 1
     for group in range(groups.max() + 1):
         members = u[groups == group]
@@ -107,6 +107,38 @@ def test_every_latin_set_is_a_latin_hypercube(size):
             assert group == groups.max()
             assert (np.diff(strata, axis=0) > 0).all()
     assert (latin.note is None) == (size % length == 0)
+
+
+@pytest.mark.parametrize("size", range(2, 1001))
+def test_no_latin_set_is_cut_to_less_than_half(size):
+    """Such a set is in the mean, but not in its interval."""
+    length = sampler("latin", 1, 0, size).set_size
+    left = size % length
+    assert left == 0 or left >= 0.5 * length
+    assert max(2, size / SETS) <= length < 3.5 * max(2, size / SETS)  # 8 of 37
+
+
+@pytest.mark.parametrize("size", [37, 200, 433])
+def test_means_of_latin_samples_err_as_they_say(size):
+    """Over seeds: (mean - 1/2) over its standard error is Student's."""
+    seeds = 400
+    ratios = []
+    for seed in range(seeds):
+        latin = sampler("latin", 1, seed, size)
+        count = latin.group_count
+        assert count is not None
+        found = rk.Statistics(group_count=count)
+        u, groups = latin.uniforms(0, size)[:, 0], latin.groups(0, size)
+        found.add({"u": u}, np.ones(size, bool), groups)
+        low, high = found.interval("u")
+        assert low < found.mean["u"] < high
+        ratios.append((found.mean["u"] - 0.5) / found.standard_error["u"])
+    free = count - 1
+    squared = np.mean(np.square(ratios))
+    # the mean square of Student's t, known to sqrt((kurtosis - 1) / seeds) of itself;
+    # four of these, and a fifth more for a last set that is smaller than the others
+    spread = np.sqrt((3.0 * (free - 2.0) / max(free - 4.0, 1.0) - 1.0) / seeds)
+    assert squared < 1.2 * free / (free - 2.0) * (1.0 + 4.0 * spread)
 
 
 def test_places_in_strata_are_uniform_and_sets_are_independent():

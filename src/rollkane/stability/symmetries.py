@@ -138,7 +138,8 @@ def symmetries(scene: Scene) -> Symmetries:
 
     ``"translation x"`` and ``"turn about z"`` move the body on its base, in base axes
     (a plane, a cylinder, any surface of revolution); ``"screw about z"`` does both;
-    ``"spin about z"`` turns a body of revolution in itself, in body axes;
+    ``"spin about z"`` turns the axes of a body of revolution in it, so that of -8 rad/s
+    the body itself turns by +8 about its z;
     ``"alpha[0]"`` shifts a coordinate of what is carried. Combinations that are
     symmetries only together have a name that says of what.
 

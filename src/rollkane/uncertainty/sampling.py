@@ -111,6 +111,18 @@ class _Plain(Sampler):
         return _counted(_key(self.seed, _PLAIN), first, count, self.dimension)
 
 
+def _set_size(size: int) -> int:
+    """Members of a Latin set: about a sixteenth; of the last set all, or half or more.
+
+    Intervals leave out a set of less than half, whose few members are as good as plain
+    ones: the error of the mean would be theirs, and not be told.
+    """
+    found = max(2, -(-size // SETS))
+    while 0 < size % found < 0.5 * found:
+        found += 1
+    return found
+
+
 class _Latin(Sampler):
     """Sets of members, each of them a Latin hypercube, independent of each other."""
 
@@ -118,7 +130,7 @@ class _Latin(Sampler):
 
     def __init__(self, dimension: int, seed: int, size: int):
         super().__init__(dimension, seed, size)
-        self.set_size = max(2, -(-size // SETS))
+        self.set_size = _set_size(size)
         self._last: tuple[int, np.ndarray] | None = None
         if size % self.set_size:
             self.note = (
@@ -229,8 +241,9 @@ def sampler(kind: str, dimension: int, seed: int, size: int) -> Sampler:
     """Uniform numbers of a study's members.
 
     Args:
-        kind: ``"plain"``: independent members. ``"latin"``: 16 sets of ``size / 16``
-            members, each a Latin hypercube. ``"sobol"``: 16 scrambles of a Sobol
+        kind: ``"plain"``: independent members. ``"latin"``: sets of ``size / 16``
+            members or a few more, each a Latin hypercube; of the last one half or more
+            are there. ``"sobol"``: 16 scrambles of a Sobol
             sequence, of which member i is point ``i // 16`` of scramble ``i % 16``.
         dimension: Numbers of a member.
         seed: Of all of them; a whole number.
