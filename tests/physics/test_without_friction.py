@@ -26,11 +26,9 @@ EGG = rk.Scene(
     ids=["ball", "Newton's law", "ellipsoid", "plastic"],
 )
 def test_a_landing_without_a_slip_has_the_slopes_of_ice(scene, how):
-    """Dropped straight down: velocity and spin along the surface pass unchanged.
+    """Dropped straight down: no force acts along the level base.
 
-    To first order in them, whatever the body, as the impulse is along the normal and
-    through the mass centre (a ball), or moves with the turn about it (an ellipsoid,
-    whose own slopes are differences of runs).
+    What turns an ellipsoid that lands a little tilted is known by differences of runs.
     """
     modes = rk.Modes(friction=0.0, **how)
 
@@ -48,7 +46,7 @@ def test_a_landing_without_a_slip_has_the_slopes_of_ice(scene, how):
     x = jnp.zeros(3)
     forward, backward = jax.jacfwd(end)(x), jax.jacrev(end)(x)
     np.testing.assert_allclose(backward, forward, atol=1e-9)
-    h = 1e-4  # differences err by h^2 times third slopes of about 1e2
+    h = 1e-4  # differences err by h^2: at 1e-5 by 3e-10, here by 3e-8
     steps = h * jnp.eye(3)
     slopes = [(end(dx) - end(-dx)) / (2.0 * h) for dx in steps]
     np.testing.assert_allclose(forward, jnp.stack(slopes, axis=1), atol=1e-6)
@@ -69,6 +67,7 @@ def test_what_rests_without_friction_rests(scene):
         falls = rk.simulate(scene, dropped, times, modes=modes)
         for run in (rests, falls):
             assert run.succeeded
+            # 4 to 124 are tried; with steps that shrink to nothing millions
             assert run.steps + run.rejected_steps < 1000
             assert int(run.mode[-1]) == rk.Mode.SLIPPING
             # nothing moves it along; height at atol of a step, 1e-10 and less

@@ -161,7 +161,7 @@ class AtContact(NamedTuple):
         pull: Likewise [N].
         turn: Slip times the rate at which friction turns it [m/s^2]; zero: not asked.
         margin: As of :func:`painleve_margin` [1].
-        out: Normal of the base there, FIXED axes [1].
+        out: Outward normal of the body there, FIXED axes [1].
     """
 
     rates: Any
@@ -182,11 +182,10 @@ def at_contact(scene: Scene, t: Float[Array, ""], state: AnyState) -> AtContact:
         state: Where the body is and how it turns.
     """
     rates, contact, solution, force = _solved(scene, t, state)
-    press, pull = _parted(contact, force)
+    press, pull, out = _parted(contact, force)
     turn = jnp.zeros_like(press) if solution.turn is None else solution.turn
     endless = jnp.full((), jnp.inf, force.dtype)
     margin = endless if solution.margin is None else solution.margin
-    out = matvec(contact.rotation, contact.normal)
     return AtContact(rates, press, pull, turn, margin, out)
 
 
@@ -206,15 +205,17 @@ def press_and_pull(
 ) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """Normal force [N], negative where it pulls; force along the surface [N], FIXED."""
     _, contact, _, force = _solved(scene, t, state)
-    return _parted(contact, force)
+    press, pull, _ = _parted(contact, force)
+    return press, pull
 
 
 def _parted(
     contact: Contact, force: Float[Array, "3"]
-) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+) -> tuple[Float[Array, ""], Float[Array, "3"], Float[Array, "3"]]:
+    """Along the normal and the surface, and the normal, on fixed axes."""
     out = matvec(contact.rotation, contact.normal)
     press = -dot(force, out)
-    return press, force + press * out
+    return press, force + press * out, out
 
 
 def _solved(

@@ -8,7 +8,7 @@ import numpy as np
 from .intervals import of_replicates, probability_interval, student_quantile
 
 # Groups are compared when they have this share of the largest group's members.
-_COMPLETE = 0.5
+COMPLETE = 0.5
 # Of fewer hits or misses the means of groups are too far from normal.
 _RARE = 20
 
@@ -109,7 +109,7 @@ class GroupTotals:
 
     def replicates(self, shift: np.ndarray) -> Replicates:
         """Mean and error, from groups with at least half as many as the largest."""
-        complete = self.members >= _COMPLETE * max(self.members.max(initial=0), 1)
+        complete = self.members >= COMPLETE * max(self.members.max(initial=0), 1)
         counts = np.where(complete[:, None], self.counts, 0)
         mean, error = of_replicates(self.sums / np.maximum(self.counts, 1), counts)
         return Replicates(shift + mean, error, (counts > 0).sum(axis=0))

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..validation.checks import FieldError, whole
+from .group_totals import COMPLETE
 
 KINDS = ("plain", "latin", "sobol")
 SETS = 16  # Latin sets of a study, at most; scrambles of a Sobol sequence
@@ -118,7 +119,7 @@ def _set_size(size: int) -> int:
     ones: the error of the mean would be theirs, and not be told.
     """
     found = max(2, -(-size // SETS))
-    while 0 < size % found < 0.5 * found:
+    while 0 < size % found < COMPLETE * found:
         found += 1
     return found
 
@@ -243,8 +244,8 @@ def sampler(kind: str, dimension: int, seed: int, size: int) -> Sampler:
     Args:
         kind: ``"plain"``: independent members. ``"latin"``: sets of ``size / 16``
             members or a few more, each a Latin hypercube; of the last one half or more
-            are there. ``"sobol"``: 16 scrambles of a Sobol
-            sequence, of which member i is point ``i // 16`` of scramble ``i % 16``.
+            are there. ``"sobol"``: 16 scrambles of a Sobol sequence, of which member i
+            is point ``i // 16`` of scramble ``i % 16``.
         dimension: Numbers of a member.
         seed: Of all of them; a whole number.
         size: Members of the study. Plain and Sobol members do not depend on it.
