@@ -4,14 +4,15 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..codegen.compile_effort import for_many_numbers, for_one_call
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
+from ..integration.backends import may_go_natively
 from ..integration.integrate import checked_times
 from ..kinematics.coordinates import State
 from ..kinematics.voronets import AnyState
@@ -113,7 +114,8 @@ def sensitivity(
     transforms = tuple(entry.transform for entry in entries)
     keys = tuple(located(entry.free.path, {}) for entry in entries)
     changes = tuple(jnp.zeros(len(e.transform.labels())) for e in entries)
-    found, slopes, code = _derivatives(
+    program = _beside_c if may_go_natively(method) else _by_xla
+    found, slopes, code = program(
         functions, keys, options, model, transforms, jnp.asarray(known), changes
     )
     return Sensitivity(
@@ -135,7 +137,6 @@ def _names(entry: Coordinates) -> tuple[str, ...]:
     return tuple(entry.free.path + label for label in entry.transform.labels())
 
 
-@eqx.filter_jit
 def _derivatives(
     functions: tuple[tuple[str, Observable], ...],
     keys: tuple[tuple[str | int, ...], ...],
@@ -165,3 +166,6 @@ def _derivatives(
         jax.jacfwd(observed, has_aux=True)(changes),
     )
     return found, slopes, code
+
+
+_beside_c, _by_xla = for_one_call(_derivatives), for_many_numbers(_derivatives)
