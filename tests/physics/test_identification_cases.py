@@ -291,6 +291,27 @@ def test_friction_and_restitution_of_a_thrown_ball():
     assert abs(found.chi2 / freedom - 1.0) < 4.0 * np.sqrt(2.0 / freedom)
 
 
+def test_a_report_tells_landings_and_a_minimum_that_may_be_false():
+    """A search that begins at 0.4, where the ball bounces with 0.6, ends beside it."""
+    start = rk.release(LANE, UP, (0.0, 0.0, 0.0), (0.0, 0.0, 0.4), (8.0, 0.0, 0.0))
+    times = np.arange(0.0, 0.8, 0.01)
+    run = rk.simulate(LANE, start, times, modes=modes_of(0.25, 0.6))
+    flights = np.asarray(run.switches.before) == rk.Mode.FLYING
+    gyro = rk.Gyro(noisy(run.each(ANY_GYRO.observed), NOISE, 4), NOISE)
+    record, free = rk.Record(times, {"gyro": gyro}), [rk.Free("modes.restitution")]
+    fits = [
+        rk.fit(LANE, start, record, free, modes=modes_of(0.25, e), strategy="single")
+        for e in (0.6, 0.4)
+    ]
+    there, beside = fits
+    assert there.landings == flights[: int(run.switches.count)].sum() >= 2
+    assert f"landings                   {there.landings}\n" in there.report()
+    assert "starts=" not in there.report()
+    # spins jump by rad/s, hundreds of the noise: one sample beside a jump outweighs all
+    assert beside.chi2 > 10.0 * there.chi2
+    assert "Fit positions, or begin" in beside.report()
+
+
 # Intervals
 
 

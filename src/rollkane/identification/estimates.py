@@ -34,6 +34,7 @@ class Estimates:
     rollouts: int
     failed: int
     converged: bool
+    landings: Any
     stages: tuple[Stage, ...]
     minima: tuple[tuple[float, int], ...]
     scene: Scene
@@ -78,6 +79,7 @@ class Estimates:
             rollouts=problem.rollouts,
             failed=problem.failed,
             converged=found.converged,
+            landings=every(problem.landings(z)),
             stages=tuple(best.stages),
             minima=_minima(searches),
             scene=models[0].scene,

@@ -251,6 +251,11 @@ class Problem:
             found.append(_split(whole, self.groups[record]))
         return found
 
+    def landings(self, z: np.ndarray) -> list[int]:
+        """How often flights end in each record's run, at z."""
+        runs = [self._up_to(k, z, np.inf)[0] for k in range(len(self.records))]
+        return [int(np.max(at.landings)) for at in runs]
+
     def sizes(self) -> list[dict[str, np.ndarray]]:
         """Samples over their deviations, without their mean, by record and channel.
 

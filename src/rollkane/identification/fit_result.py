@@ -38,6 +38,8 @@ class Fit(Estimates):
         rollouts: Runs that were made, each with its derivatives.
         failed: How many of them did not reach their end.
         converged: Whether no step promised more.
+        landings: How often the run with the estimates lands from a flight; of several
+            records, a list.
         stages: Horizons that were fitted.
         minima: Distinct minima of several starts: chi2 and how many ended there.
         scene: The model with the estimates.

@@ -10,6 +10,7 @@ from .least_squares import loss_of
 from .unseen import REMEDY
 
 _STRONG = 0.95  # correlations that are told
+_FAR = 5.0  # deviations of chi2, in which it is no chance
 
 
 def text_report(fit: Estimates) -> str:
@@ -33,12 +34,29 @@ def _how(fit: Estimates) -> list[str]:
     ]
     if not fit.converged:
         found.append("  NOT converged: more evaluations, or a better guess, are needed")
+    found += _landings(fit)
     if len(fit.stages) > 1:
         horizons = ", ".join(f"{s.horizon:.3g}" for s in fit.stages)
         found.append(f"  horizons                   {horizons} s")
     if len(fit.minima) > 1:
         listed = ", ".join(f"{chi2:.6g} ({n} of them)" for chi2, n in fit.minima)
         found.append(f"  distinct minima, by chi2   {listed}")
+    return found
+
+
+def _landings(fit: Estimates) -> list[str]:
+    """How often runs land, and what that may have made of the fit."""
+    listed: list[int] = np.atleast_1d(fit.landings).tolist()
+    if not any(listed):
+        return []
+    found = [f"  landings                   {', '.join(map(str, listed))}"]
+    freedom = max(fit.degrees_of_freedom, 1)
+    if fit.chi2 > freedom + _FAR * np.sqrt(2.0 * freedom):
+        found += [
+            "    Velocities jump where a body lands, and chi2 has a minimum where one",
+            "    passes a sample: this may not be the least. Fit positions, or begin",
+            "    from several guesses (starts=)",
+        ]
     return found
 
 

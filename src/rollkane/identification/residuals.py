@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codegen.compile_effort import for_many_numbers, for_one_call
+from ..hybrid.modes import Mode, Switches
 from ..integration.backends import may_go_natively
 from ..simulation.run import simulate
 from ..simulation.run_options import RunOptions
@@ -57,12 +58,14 @@ class Residuals(NamedTuple):
         counted: Which of them are samples, shape (N,).
         reached: For which of them the run gives a number, shape (N,).
         codes: Of the runs, shape (G,).
+        landings: How often a flight ends in each of them, shape (G,).
     """
 
     misfit: Float[Array, " N"]
     counted: Bool[Array, " N"]
     reached: Bool[Array, " N"]
     codes: Array
+    landings: Array
 
 
 class Linearized(eqx.Module):
@@ -222,7 +225,8 @@ def residuals_of(
         for group, count in zip(groups, counts, strict=True)
     ]
     rows = _one_below_the_other([part[:3] for part in parts])
-    return Residuals(*rows, jnp.stack([part[3] for part in parts]))
+    codes, landings = (jnp.stack([part[i] for part in parts]) for i in (3, 4))
+    return Residuals(*rows, codes, landings)
 
 
 def _one_below_the_other(rows: Sequence[_Rows]) -> _Rows:
@@ -235,8 +239,8 @@ def _of_group(
     group: Group,
     count: Bool[Array, " T"],
     options: RunOptions,
-) -> tuple[Array, Array, Array, Array]:
-    """Of a group's channels what :class:`Residuals` has, and the code of its run."""
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of a group's channels and its run what :class:`Residuals` has, in order."""
     time = group.time
     if group.delayed:
         (name,) = group.channels
@@ -281,4 +285,11 @@ def _of_group(
         finite = jnp.where(reached, misfit, lost)
         kept = jnp.where(counted, finite, 0.0)
         found.append((kept.ravel(), counted.ravel(), reached.ravel()))
-    return *_one_below_the_other(found), run.code
+    return *_one_below_the_other(found), run.code, _landings(run.switches)
+
+
+def _landings(switches: Switches | None) -> Array:
+    """How often a flight ends."""
+    if switches is None:
+        return jnp.asarray(0)
+    return jnp.sum(jnp.isfinite(switches.time) & (switches.before == Mode.FLYING))
