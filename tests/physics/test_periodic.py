@@ -1,5 +1,6 @@
 """Relative periodic motions: closed forms, Floquet multipliers, families, refusals."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -305,6 +306,20 @@ def test_a_shaken_and_damped_swing():
         rk.periodic_motion(scene, start, 1.01 * period)
 
 
+def test_a_rest_repeats_only_after_the_period_of_what_shakes_it():
+    """It does not move, whatever the time; what is beside it does."""
+    rate_, bowl = 9.0, rk.Graph(lambda x, y: 0.75 * x * x + 1.25 * y * y)
+    shaken = rk.BaseMotion(
+        lambda t: jnp.stack([0.0 * t, 0.0 * t, 0.05 * jnp.cos(rate_ * t)])
+    )
+    scene = rk.Scene(BALL, rk.Base(bowl, shaken))
+    for spin in (STILL, (0.0, 0.0, 3.0)):
+        start = rk.place(scene, UPRIGHT, spin, STILL)
+        for period in (0.65, 1.0):
+            with pytest.raises(rk.FieldError, match="period: is not one of the scene"):
+                rk.periodic_motion(scene, start, period)
+
+
 @pytest.mark.slow
 def test_a_slow_growth_is_no_family():
     """Of an ellipsoid in a bowl, which may rest with any yaw; its swings turn it.
@@ -387,3 +402,6 @@ def test_refusals(swing):
         rk.normal_mode_motion(BOWL, rest, 0.1, mode=2)
     with pytest.raises(rk.FieldError, match="span: does not hold"):
         rk.periodic_family(BOWL, swing, "energy", (0.0, 1.0))
+    heavier = eqx.tree_at(lambda s: s.body.mass, BOWL, 2.0 * BOWL.body.mass)
+    with pytest.raises(rk.FieldError, match="is not the scene of the motion"):
+        rk.periodic_family(heavier, swing, "energy", (-1.0, 1.0))

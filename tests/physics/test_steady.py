@@ -272,6 +272,36 @@ def test_refusals_name_ranks_and_directions(disc):
         rk.steady_family(scene, motion, "hold.speed", (2.0, 3.0))
     with pytest.raises(rk.FieldError, match="no range"):
         rk.steady_family(scene, motion, "hold.speed", (3.0, 2.0))
+    for count in ({"points": 0}, {"points": 2.5}, {"max_points": -1}):
+        with pytest.raises(rk.FieldError, match=r"steady_family\..*points"):
+            rk.steady_family(scene, motion, "hold.speed", (0.5, 2.0), **count)
+    other = wheel(0.6)
+    with pytest.raises(rk.FieldError, match="is not the scene of the motion"):
+        rk.steady_family(other, motion, "hold.speed", (0.5, 2.0))
+    with pytest.raises(rk.FieldError, match="is not the scene of the motion"):
+        rk.linearize(other, motion)
+
+
+def test_a_crossing_from_which_no_other_branch_leaves(disc):
+    """Straight rolling turns unstable, and meets turning on the spot at rest alone.
+
+    Steadily turning upright needs Omega w (C + m a^2) = 0 of its rates.
+    """
+    scene, motion = disc
+    branch = rk.steady_family(scene, motion, "hold.speed", (0.5, 1.6), points=20)
+    assert branch.ends == ("span", "span")
+    assert branch.values[[0, -1]].tolist() == [0.5, 1.6]
+    with pytest.raises(rk.FieldError, match="has no other branch"):
+        rk.switch_branch(branch, branch.critical[0])
+    with pytest.raises(rk.FieldError, match="is no Critical"):
+        rk.switch_branch(branch, branch.critical[0].value)
+    with pytest.raises(rk.FieldError, match="is no Branch"):
+        rk.switch_branch(motion, branch.critical[0])
+    cut = rk.steady_family(
+        scene, motion, "hold.speed", (0.5, 1.6), points=20, max_points=3
+    )
+    assert cut.ends == ("max_points", "span")
+    assert "begins within the span: max_points" in str(cut)
 
 
 def test_a_slope_has_no_steady_motion():

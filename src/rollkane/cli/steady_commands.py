@@ -289,6 +289,7 @@ def _branch_json(branch: Any, motion: Any) -> dict[str, Any]:
             }
             for p in branch.points
         ],
+        "ends": list(branch.ends),
         "critical": [
             {
                 "kind": c.kind,

@@ -68,6 +68,8 @@ class Branch:
         critical: Folds and changes of stability between them.
         asked: What was solved.
         span: Least and largest value of what is varied [its unit].
+        ends: Why the branch ends where it begins, and where it ends: ``"span"``,
+            ``"max_points"``, or ``"not found"``: no motion farther on.
     """
 
     vary: str
@@ -75,6 +77,7 @@ class Branch:
     critical: tuple[Critical, ...]
     asked: Asked = dataclasses.field(repr=False)
     span: tuple[float, float] = (-np.inf, np.inf)
+    ends: tuple[str, str] = ("span", "span")
 
     @property
     def values(self) -> Float[np.ndarray, " P"]:
@@ -138,6 +141,10 @@ class Branch:
             f"{len(self.points)} steady motions, {self.vary} from {low:.9g} to "
             f"{high:.9g}, {count} of them stable"
         ]
+        for place, end in zip(("begins", "ends"), self.ends, strict=True):
+            if end != "span":
+                why = "max_points" if end == "max_points" else "no motion farther on"
+                rows.append(f"  {place} within the span: {why}")
         rows += [
             f"  {c.kind:<16}{self.vary} = {c.value:.12g}, eigenvalue "
             f"{c.eigenvalue.real:.4g}{c.eigenvalue.imag:+.6g}i 1/s"

@@ -32,11 +32,17 @@ def tangents(asked: Asked, point: Point, count: int) -> np.ndarray:
     return across[across.shape[0] - count :]
 
 
-def nullity(asked: Asked, point: Point) -> int:
+def nullity(asked: Asked, point: Point, small: float = SMALL) -> int:
     """In how many directions the equations stay solved, by rank."""
     matrix, _ = equations(asked, point)
     values = np.linalg.svd(matrix, compute_uv=False)
-    return matrix.shape[1] - int(np.sum(values > SMALL * values[0]))
+    return matrix.shape[1] - int(np.sum(values > small * values[0]))
+
+
+def is_near(asked: Asked, point: BranchPoint, tried: Solved, far: float) -> bool:
+    """Whether a step of this length ended where its branch may be."""
+    chord = tried.moved / unit_steps(asked, point.solution)
+    return float(np.linalg.norm(chord)) < _CHORD * far
 
 
 def refuse_span(asked: Asked, point: Point, vary: str) -> None:
@@ -120,10 +126,11 @@ Look: TypeAlias = Callable[[Segment], list[Critical] | None]
 
 
 class Walk(NamedTuple):
-    """A way along a branch: its points, and what is critical between them."""
+    """A way along a branch: its points, what is critical, why it ends."""
 
     points: list[BranchPoint]
     critical: list[Critical]
+    end: str
 
 
 def walked(
@@ -148,14 +155,13 @@ def walked(
     """
     low, high = span
     longest = (high - low) / asked.unit / points
-    way, step = Walk([start], []), longest
+    way, step = Walk([start], [], "max_points"), longest
     while len(way.points) <= most and step > _FEWEST:
         here = way.points[-1]
         far = min(step, longest / max(abs(float(here.tangent[-1])), 0.1))
         tried = step_from(asked, here, far)
         next_ = here
-        chord = tried.moved / unit_steps(asked, here.solution)
-        if tried.error < SOLVED and float(np.linalg.norm(chord)) < _CHORD * far:
+        if tried.error < SOLVED and is_near(asked, here, tried, far):
             next_ = made(asked, tried.point, here.tangent, dimensions)
         told = None
         if next_ is not here and float(next_.tangent @ here.tangent) > _TURN:
@@ -166,20 +172,20 @@ def walked(
         way.critical.extend(told)
         if not low <= next_.value <= high:
             end = low if next_.value < low else high
-            landed = _landed(asked, here, end)
+            landed = _landed(asked, here, tried, end)
+            way = way._replace(end="span")
             if landed.error < SOLVED and here.value != end:
                 last = made(asked, landed.point, here.tangent, dimensions)
                 way.points.append(last)
             break
         way.points.append(next_)
         step = 2.0 * far
-    return way
+    return way if step > _FEWEST else way._replace(end="not found")
 
 
-def _landed(asked: Asked, here: BranchPoint, end: float) -> Solved:
-    """The solution at an end of the span, beyond a point."""
-    start, unit = here.solution, unit_steps(asked, here.solution)
+def _landed(asked: Asked, here: BranchPoint, tried: Solved, end: float) -> Solved:
+    """The solution at an end of the span, between a point and a next one."""
+    start = here.solution
     n = start.local.slope.shape[0]
-    change = float(here.tangent[-1]) * asked.unit
-    move = here.tangent * unit * ((end - here.value) / change)
+    move = tried.moved * ((end - here.value) / (tried.point.p - here.value))
     return solved(asked, start.state, start.xi + move[n:-1], end, step=move[:n])

@@ -2,19 +2,33 @@
 
 import dataclasses
 import difflib
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 
 from ..identification import paths
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, whole
 from .branch import Branch, BranchPoint, Critical
-from .continuation import Segment, made, refuse_span, step_from, tangents, walked
+from .continuation import (
+    Segment,
+    is_near,
+    made,
+    nullity,
+    refuse_span,
+    step_from,
+    tangents,
+    walked,
+)
 from .critical_points import critical_on
 from .newton import SOLVED, Asked, solved
 from .quantities import quantity
-from .refusals import refuse_moving
+from .refusals import refuse_moving, refuse_other_scene
 from .steady import SteadyMotion
+
+# Of the largest singular value: a second direction at a bifurcation. Located to
+# SOLVED, 1e-10, beside curvatures of up to 1e3 it is 1e-7; what counts is seldom below
+# 1e-4.
+_NEAR = 1e-6
 
 
 def steady_family(
@@ -28,10 +42,11 @@ def steady_family(
 ) -> Branch:
     """The branch of steady motions through one of them.
 
-    By pseudo-arclength continuation both ways, round folds, to the ends of the span.
+    By pseudo-arclength continuation both ways, round folds, to the ends of the span,
+    or as far as ``Branch.ends`` says.
 
     Args:
-        scene: As for ``steady_motion``.
+        scene: As for ``steady_motion``, of which ``motion`` is.
         motion: A steady motion of it, within the span; what it holds stays held.
         vary: ``"hold.NAME"``: a held quantity, or another one that is then held as
             well; else a number of the scene by its path: ``"body.mass"``,
@@ -45,15 +60,16 @@ def steady_family(
         ``Branch``: its points, and critical values located to rounding.
 
     Raises:
-        FieldError: a name that nothing has, a motion outside of the span, more or
-            less left free than one dimension.
+        FieldError: a name that nothing has, another scene than the motion's, a motion
+            outside of the span, more or less left free than one dimension.
 
     Source: docs/theory.md, (10.2) to (10.5).
     """
     if not isinstance(cast(object, motion), SteadyMotion):
         remedy = "give what steady_motion returns"
         raise FieldError("steady_family.motion", motion, "is no steady motion", remedy)
-    del scene  # the motion has it, with its symmetries
+    refuse_other_scene("steady_family.scene", scene, motion.problem.model)
+    points, most = _counts("steady_family", points, max_points)
     low, high = _checked_span(span)
     asked, p = _asked(motion, vary, high - low)
     if not low <= p <= high:
@@ -65,7 +81,7 @@ def steady_family(
     refuse_span(asked, found.point, vary)
     start = made(asked, found.point, None)
     back = dataclasses.replace(start, tangent=-start.tangent)
-    plan = _Plan(vary, asked, (low, high), points, max_points)
+    plan = _Plan(vary, asked, (low, high), points, most)
     return _both_ways(plan, start, back, [start])
 
 
@@ -81,9 +97,18 @@ def switch_branch(
         max_points: Most points each way [1].
 
     Raises:
-        FieldError: no other branch leaves there.
+        FieldError: no other branch leaves there; what is no branch, or not critical.
     """
+    if not isinstance(cast(object, branch), Branch):
+        remedy = "give what steady_family returns"
+        raise FieldError("switch_branch.branch", branch, "is no Branch", remedy)
+    if not isinstance(cast(object, critical), Critical):
+        remedy = "give one of branch.critical"
+        raise FieldError("switch_branch.critical", critical, "is no Critical", remedy)
+    points, most = _counts("switch_branch", points, max_points)
     asked, here = branch.asked, critical.point
+    if nullity(asked, here.solution, _NEAR) < 2:
+        _refuse_switch(critical)
     both = tangents(asked, here.solution, 2)
     known = here.tangent
     other = both - np.outer(both @ known, known)
@@ -97,19 +122,34 @@ def switch_branch(
         # the branch curves at once, a tenth of it
         for far in (1e-2, 1e-3):
             off = step_from(asked, turned, far)
+            if not (off.error < SOLVED and is_near(asked, turned, off, far)):
+                continue
             moved = made(asked, off.point, turned.tangent)
             # not back on the known branch, whose tangent turns little in such a step
-            if off.error < SOLVED and abs(moved.tangent @ known) < 0.9:
+            if abs(moved.tangent @ known) < 0.9:
                 starts.append(moved)
                 break
     if len(starts) < 2:
-        remedy = "switch at a zero crossing where what is varied does not turn"
-        raise FieldError(
-            "switch_branch.critical", critical.kind, "has no other branch", remedy
-        )
-    plan = _Plan(branch.vary, asked, branch.span, points, max_points)
+        _refuse_switch(critical)
+    plan = _Plan(branch.vary, asked, branch.span, points, most)
     first, last = starts
     return _both_ways(plan, first, last, [_turned(last), here, first])
+
+
+def _refuse_switch(critical: Critical) -> NoReturn:
+    remedy = "switch at a zero crossing where what is varied does not turn"
+    raise FieldError(
+        "switch_branch.critical", critical.kind, "has no other branch", remedy
+    )
+
+
+def _counts(field: str, points: Any, max_points: Any) -> tuple[int, int]:
+    """How many steps and points, at least and at most."""
+    remedy = "give 1 or more"
+    return (
+        whole(f"{field}.points", points, 1, remedy),
+        whole(f"{field}.max_points", max_points, 1, remedy),
+    )
 
 
 class _Plan(NamedTuple):
@@ -137,12 +177,16 @@ def _both_ways(
     forward = walked(plan.asked, ahead, *how)
     backward = walked(plan.asked, back, *how)
     points = [_turned(p) for p in backward.points[:0:-1]] + middle + forward.points[1:]
-    if middle[0].tangent[-1] < 0.0 and len(middle) == 1:
+    is_back = middle[0].tangent[-1] < 0.0 and len(middle) == 1
+    if is_back:
         points = [_turned(p) for p in points[::-1]]
     low, high = plan.span
     told = backward.critical[::-1] + forward.critical
     found = [c for c in told if low <= c.value <= high]
-    return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span)
+    ends = backward.end, forward.end
+    if is_back:
+        ends = forward.end, backward.end
+    return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span, ends)
 
 
 def _checked_span(span: Any) -> tuple[float, float]:

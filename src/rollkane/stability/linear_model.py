@@ -20,6 +20,7 @@ from ..validation.checks import FieldError
 from .independent_coordinates import least_squares
 from .problem import AbstractProblem
 from .quantities import Quantity, held_quantities
+from .refusals import refuse_other_scene
 from .steady import SteadyMotion, problem_of
 
 _Inputs = tuple[tuple[str, paths.Keys], ...]
@@ -90,11 +91,13 @@ def linearize(
         ``LinearModel`` of NumPy arrays, as control tools take them.
 
     Raises:
-        FieldError: names that nothing has, a scene that depends on time.
+        FieldError: names that nothing has, a scene that depends on time, another scene
+            than the steady motion's.
 
     Source: docs/theory.md, (10.3).
     """
     if isinstance(state, SteadyMotion):
+        refuse_other_scene("linearize.scene", scene, state.problem.model)
         problem, at, xi = state.problem, state.state, state.solution.xi
     else:
         problem, at = problem_of(scene, state)

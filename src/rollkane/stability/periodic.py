@@ -11,7 +11,6 @@ import numpy as np
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..simulation.run import simulate
-from ..simulation.run_checks import check_span
 from ..simulation.run_options import RunOptions
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError, is_traced, positive, real, whole
@@ -21,7 +20,8 @@ from .independent_coordinates import independent_coordinates
 from .newton import SMALL
 from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
-from .shooting import Nodes, Shooting, again, closing, measured, offset, segment
+from .repetition import check_repeats
+from .shooting import Nodes, Shooting, closing, measured, offset, segment
 from .symmetries import Symmetries, symmetries
 
 _FIELD = "periodic_motion"
@@ -31,10 +31,6 @@ _RTOL = 1e-12
 _ERRORS = 1e4
 # A motion that goes less far in a period, in changes of like size, is a steady one.
 _STEADY = 1e-7
-# Of the rates: by how much they may differ after a period of what drives the scene.
-# Both are taken at one state, so that no run's error is in it, only rounding (1e-13)
-# and the last digits of a period that is given to nine.
-_REPEATS = 1e-8
 # Error of a monodromy, over its size, with which no multiplier would be told.
 _WRONG = 1e-4
 
@@ -213,7 +209,7 @@ def periodic_motion(
     held = held_of(shot, start, period, hold or {})
     check_invariant(shot, start, held)
     if shot.driven:
-        _check_repeats(shot, start, period)
+        check_repeats(shot, start, period)
         held = (*(h for h in held if h.name != PERIOD), Held(PERIOD, period))
     nodes = _nodes(shot, start, period, segments)
     return solved_motion(shot, nodes, held)
@@ -359,28 +355,6 @@ def _displaced(
         left = now
         steps = steps + np.linalg.lstsq(slopes, short, rcond=SMALL)[0]
     return steps, left
-
-
-def _check_repeats(shot: Shooting, start: State, period: float) -> None:
-    """Refuse a period after which a driven scene is not as it was."""
-    first = shot.time
-    check_span(shot.scene, np.asarray([first, first + 2.0 * period]))
-    times = jnp.asarray(first + np.linspace(0.0, period, 9))
-    run = simulate(shot.scene, start, times, rtol=1e-6)  # any states will do
-    here, there = (
-        np.asarray(again(shot.scene, times, run.state, jnp.asarray(shift)))
-        for shift in (0.0, period)
-    )
-    good = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    size = np.abs(here[good]).max(initial=1.0)
-    change = np.abs(there - here)[good].max(initial=0.0)
-    if change > _REPEATS * size:
-        problem = (
-            "is not one of the scene, which depends on time: its rates or its base's "
-            f"rotation differ by {change:.2g} after it"
-        )
-        remedy = "give a whole number of periods of what drives the scene"
-        raise FieldError(f"{_FIELD}.period", period, problem, remedy)
 
 
 def _refuse(found: Solved, held: tuple[Held, ...]) -> None:

@@ -21,6 +21,7 @@ from .closing_newton import (
 )
 from .periodic import PeriodicMotion, closeness, motion_of
 from .periodic_holds import held_of
+from .refusals import refuse_other_scene
 from .shooting import Nodes, Shooting, offset
 
 _FIELD = "periodic_family"
@@ -160,13 +161,13 @@ def periodic_family(
         max_points: Most motions each way.
 
     Raises:
-        FieldError: names that are not known, a motion outside of the span, nothing
-            left free, a quantity that does not change.
+        FieldError: names that are not known, another scene than the motion's, a motion
+            outside of the span, nothing left free, a quantity that does not change.
     """
-    del scene  # the motion has it, with its symmetries
     if not isinstance(cast(object, motion), PeriodicMotion):
         remedy = "give what periodic_motion returns"
         raise FieldError(f"{_FIELD}.motion", motion, "is no periodic motion", remedy)
+    refuse_other_scene(f"{_FIELD}.scene", scene, motion.scene)
     vary = vary.removeprefix("hold.")
     low, high = (float(real(f"{_FIELD}.span", x, (), "two numbers")) for x in span)
     shot = motion.shooting

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+import equinox as eqx
 import numpy as np
 
 from ..validation.checks import FieldError
@@ -22,6 +23,14 @@ _RESTS, _AWAY = 1e-3, 10.0
 # Rates of rest are known to the steps that are left, times what curvatures multiply
 # them by; crept to they are 800 times these and more (Chaplygin's ball at 8e-8 rad/s)
 _LEFT = 100.0
+
+
+def refuse_other_scene(field: str, scene: Any, known: Any) -> None:
+    """Refuse another scene than that of a motion, which would not be looked at."""
+    if scene is not known and not eqx.tree_equal(scene, known):
+        problem = "is not the scene of the motion, but another one"
+        remedy = "give the same, or find a motion of this one first"
+        raise FieldError(field, type(scene).__name__, problem, remedy)
 
 
 def refuse_moving(field: str, asked: Asked, point: Point) -> None:

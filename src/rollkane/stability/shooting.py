@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 from ..codegen.compile_effort import around_a_loop, for_one_call
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
-from ..kinematics.coordinates import State, pack
+from ..kinematics.coordinates import State
 from ..simulation.run_options import RunOptions
 from .independent_coordinates import IndependentCoordinates
 from .symmetries import Symmetries
@@ -229,25 +229,3 @@ def offset(shot: Shooting, here: State, there: State) -> Float[Array, " n"]:
 @for_one_call
 def _offset(around: IndependentCoordinates, state: State) -> Float[Array, " n"]:
     return around.coordinates(state)
-
-
-@for_one_call
-def again(
-    scene: Scene, times: Float[Array, " T"], states: State, shift: Float[Array, ""]
-) -> Float[Array, "T y"]:
-    """Rates of states at other times, and how the base is turned then.
-
-    Args:
-        scene: What rolls on what.
-        times: Of the states [s], shape (T,).
-        states: Every array with a leading T.
-        shift: Added to the times [s].
-    """
-    motion = scene.base.motion
-
-    def one(t: Array, state: State) -> Array:
-        rates = pack(rolling_derivative(scene, t + shift, state))
-        turned = None if motion is None else motion.at(t + shift).rotation
-        return rates if turned is None else jnp.concatenate([rates, turned.ravel()])
-
-    return jax.vmap(one)(times, states)
