@@ -397,6 +397,15 @@ REFUSED = {
         lambda: rk.simulate(LANE, None, [0.0, 1.0], modes=0.3),
         "simulate.modes: must be Modes",
     ),
+    "modes of several": (
+        lambda: rk.simulate(
+            LANE,
+            rk.place(LANE, UP, STILL, STILL),
+            [0.0, 1.0],
+            modes=jax.vmap(lambda mu: rk.Modes(friction=mu))(jnp.array([0.1, 0.2])),
+        ),
+        "simulate.modes: has an axis of members",
+    ),
     "backwards": (
         lambda: rk.simulate(
             LANE, rk.place(LANE, UP, STILL, STILL), [1.0, 0.0], modes=rk.Modes()
@@ -611,6 +620,15 @@ def test_an_inconsistent_impact_by_newton_ends_with_a_code():
         modes = rk.Modes(friction=0.3, restitution=0.9, impact=law)
         run = rk.simulate(scene, start, [0.0, 0.12], modes=modes)
         assert run.code == code, (law, run.reason)
+        if code != rk.Code.COMPLETED:  # at the impact: times are events' to 1e-12 s
+            fallen = np.sqrt(2.0 * 0.05 / G)
+            np.testing.assert_allclose(run.final_time, fallen, rtol=0.0, atol=1e-12)
+            state = run.final_state
+            assert state.mode == rk.Mode.FLYING
+            # not yet changed: it falls and turns as it did
+            falls = [0.0, 0.2, -G * fallen]
+            np.testing.assert_allclose(state.parts.velocity, falls, atol=1e-12)
+            assert run.switches.count == 0
 
 
 def test_a_run_goes_on_from_its_final_state():

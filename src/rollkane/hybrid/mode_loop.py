@@ -61,11 +61,13 @@ class Loop(Trials):
         kind, at, end = verdict.kind, c.place, tried.end
         slid, after = self._behind(at, tried, verdict)
         falls_flat = verdict.event & self.lies_on_face(at, tried)
-        event = verdict.event & ~falls_flat
-        after = picked(falls_flat, Place(tried.t, end.y, at.mode, at.direction), after)
+        lost = verdict.event & ~falls_flat & ~jnp.all(jnp.isfinite(pack(after.y)))
+        # where nothing follows the run ends on the event, as it came there
+        ends = falls_flat | lost
+        event = verdict.event & ~ends
+        after = picked(ends, Place(tried.t, end.y, at.mode, at.direction), after)
         full = event & (c.path.switches.count >= self.motion.modes.switches)
-        lost = event & ~jnp.all(jnp.isfinite(pack(after.y)))
-        accept = verdict.accept & ~full & ~lost
+        accept = verdict.accept & ~full
         look = self.looks_for_events(c, tried, accept, event)
         accept = accept if look is None else look.stands
         happens = event & accept
@@ -88,12 +90,8 @@ class Loop(Trials):
             row = tried.t, following.t, number, value, shown
             known = following, c.path.switches.count, happens, slid
             record = record.after(c.accepted, accept, row, *known)
-        code = jnp.where(verdict.stuck, Code.STEP_TOO_SMALL, c.code)
-        code = jnp.where(full, Code.TOO_MANY_SWITCHES, code)
-        code = jnp.where(lost, self.code_of_loss(at.mode), code)
-        code = jnp.where(falls_flat, Code.SURFACE_EDGE, code)
-        deep = (verdict.stuck | lost) & self.lifts_into_its_base(c, tried)
-        code = jnp.where(deep, Code.SECOND_CONTACT, code)
+        code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
+        code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
         values = self.values_after(c, end.values, event, after)
         path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:
@@ -212,6 +210,22 @@ class Loop(Trials):
         if self.reach is None or not has_face(scene):
             return False
         return (at.mode == Mode.FLYING) & faces(scene, tried.t, tried.end.y.flying())
+
+    def _code(
+        self,
+        c: Run,
+        tried: Tried,
+        code: Array,
+        stuck: Bool[Array, ""],
+        lost: Bool[Array, ""],
+        falls_flat: Bool[Array, ""],
+    ) -> Array:
+        """Why a run ends here: as it was, unless a step or what follows it fails."""
+        code = jnp.where(stuck, Code.STEP_TOO_SMALL, code)
+        code = jnp.where(lost, self.code_of_loss(c.place.mode), code)
+        code = jnp.where(falls_flat, Code.SURFACE_EDGE, code)
+        deep = (stuck | lost) & self.lifts_into_its_base(c, tried)
+        return jnp.where(deep, Code.SECOND_CONTACT, code)
 
     def code_of_loss(self, mode: Int[Array, ""]) -> Array:
         """Why there is no state behind an event."""

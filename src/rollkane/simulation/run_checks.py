@@ -2,6 +2,8 @@
 
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..dynamics.abstract_supported import (
@@ -61,6 +63,11 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
     refuse_rolling_parts("simulate.modes", scene.supported)
     if not isinstance(modes, Modes):
         raise FieldError("simulate.modes", modes, "must be Modes", "give Modes(...)")
+    shapes = [jnp.shape(x) for x in jax.tree.leaves(modes)]
+    if any(shapes):
+        problem = "has an axis of members, as jax.vmap gives it"
+        remedy = "run them by rollkane.ensemble, or map simulate by jax.vmap"
+        raise FieldError("simulate.modes", max(shapes), problem, remedy)
     _check_one_mode("simulate.start", start)
     known = State, SlidingState, FlyingState
     if not isinstance(start, known):
