@@ -325,6 +325,54 @@ def test_runs_with_modes_are_native_each_by_itself():
             np.testing.assert_allclose(runs.observed[i], one.energy, rtol=1e-13)
 
 
+def test_modes_of_members_each_its_own():
+    """Thrown along a lane, a ball that slips by mu v / g rolls at 5/7 of its speed.
+
+    Members do what single runs do: with one program for many lanes and one for one, to
+    some 60 steps of twelve stages with ten roundings each, 7200 x 2.2e-16 of 73 rad/s.
+    """
+    body = rk.Body(2.0, 0.008 * np.eye(3), rk.Sphere(0.1))
+    slips = rk.Scene(body, contact=rk.Slipping(rk.CoulombFriction(0.2)))
+    upright, still = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    start = rk.place(slips, upright, still, still, velocity=(8.0, 0.0, 0.0))
+    friction, times = jnp.array([0.05, 0.2, -0.2, 0.3]), [0.0, 1.0, 2.0]
+    choose = lambda mu: rk.Modes(friction=mu)
+    modes, how = jax.vmap(choose)(friction), {"rtol": 1e-9, "observe": energy}
+    made = lambda i: eqx.tree_at(
+        lambda s: s.body.mass, slips, 2.0 + 0.0 * i.astype(float)
+    )
+    runs = rk.ensemble(slips, start, times, modes=modes, keep_states=True, **how)
+    again = rk.ensemble(made, start, times, modes=modes, keep_states=True, **how)
+    assert runs.method == "native"
+    # a member that cannot be fails alone, and its field is named
+    assert runs.code.tolist() == again.code.tolist() == [0, 0, rk.Code.BAD_SCENE, 0]
+    assert any("scene.modes.friction" in reason for reason in runs.reasons)
+    lost = 9.81 * 2.0 * np.asarray(friction)
+    np.testing.assert_allclose(
+        runs.velocity[[0, 1, 3], -1, 0],
+        [8.0 - lost[0], 40.0 / 7.0, 40.0 / 7.0],
+        rtol=1e-7,  # sixty steps of rtol
+    )
+    for i in (0, 1, 3):
+        one = rk.simulate(slips, start, times, modes=choose(friction[i]), rtol=1e-9)
+        for other in (runs, again):
+            beside, alone = other.state.parts, one.state.parts.angular_velocity
+            np.testing.assert_allclose(
+                beside.angular_velocity[i], alone, rtol=0.0, atol=1.2e-10
+            )
+            np.testing.assert_allclose(other.observed[i], one.energy, rtol=1.6e-12)
+    starts = jax.tree.map(lambda x: jnp.stack([x] * 3), start)
+    with pytest.raises(rk.FieldError, match="several counts"):
+        rk.ensemble(slips, starts, times, modes=modes)
+    slope = jax.grad(
+        lambda mu: rk.ensemble(
+            slips, start, times, modes=jax.vmap(choose)(mu), rtol=1e-9
+        ).final_state.parts.slip[0, 0]
+    )(friction[:2])
+    # slip falls by (1 + 5/2) mu g; another member has no part in it
+    np.testing.assert_allclose(slope, [-3.5 * 9.81 * 2.0, 0.0], rtol=1e-9, atol=1e-9)
+
+
 def test_what_the_native_loop_has_not_goes_by_diffrax():
     """And says why, or refuses where the loop was asked for."""
     scene, starts = discs(2)

@@ -10,6 +10,7 @@ import pytest
 import rollkane as rk
 from rollkane.uncertainty.fingerprint import fingerprint
 from rollkane.uncertainty.sampling import sampler
+from rollkane.uncertainty.study_model import StudyModel
 from tests import small_studies as small
 from tests.small_studies import compiled_once, equal
 
@@ -171,6 +172,40 @@ def test_bases_that_move_and_contacts_that_change(name):
     np.testing.assert_allclose(found.values("end")[70], run.position[-1], **ROUNDED)
     if name == "bouncing":
         assert run.switches.count > 0
+
+
+def test_drawn_friction():
+    """Balls that slip and grip, by Coulomb's law: each at its own friction.
+
+    A ball thrown along a lane grips at t = 2 v / (7 mu g), with 5/7 of its speed. The
+    runs are at rtol 1e-9, some hundred steps of it at most: 1e-7 of 30 m.
+    """
+    radius, speed, end, g = 0.11, 8.0, 4.0, 9.81
+    ball = rk.Body(6.0, 0.4 * 6.0 * radius**2 * np.eye(3), rk.Sphere(radius))
+    slips = rk.Scene(ball, contact=rk.Slipping(rk.CoulombFriction(0.2)))
+    along = lambda v: jnp.stack([v, 0.0 * v, 0.0 * v])
+
+    def thrown(draw):
+        v = draw["speed"]
+        start = rk.place(
+            slips, small.UPRIGHT, small.ORIGIN, small.ORIGIN, velocity=along(v)
+        )
+        return slips, start, rk.Modes(friction=draw["friction"])
+
+    drawn = {"friction": rk.Uniform(0.1, 0.3), "speed": rk.Normal(speed, 0.5)}
+    seen = {"x": small.distance, "w": lambda scene, t, x: x.angular_velocity[1]}
+    study = rk.Study(thrown, drawn, [0.0, end], seen, rtol=1e-9)
+    found = rk.monte_carlo(study, 100, seed=14)
+    mu, v = (found.values(f"draw.{name}") for name in drawn)
+    grips = 2.0 * v / (7.0 * mu * g)
+    away = v * grips - 0.5 * mu * g * grips**2 + 5.0 / 7.0 * v * (end - grips)
+    np.testing.assert_allclose(found.values("x"), away, rtol=0.0, atol=3e-6)
+    rolls = 5.0 * v / (7.0 * radius)
+    np.testing.assert_allclose(found.values("w"), rolls, rtol=1e-7)
+    # away = 5/7 v end + v grips / 7, and grips goes as 1 / mu
+    slopes = StudyModel(study).value_and_gradient(np.full((1, 2), 0.5), "x")
+    by_friction = -(speed * 2.0 * speed / (49.0 * g)) / 0.2**2  # [m]
+    np.testing.assert_allclose(slopes.gradients[0, 0], by_friction * 0.2, rtol=1e-7)
 
 
 @pytest.mark.slow

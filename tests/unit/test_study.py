@@ -162,6 +162,14 @@ REFUSED = {
         dict(modes=lambda draw: rk.Modes(friction=draw["mass"])),
         "Study.modes: must be Modes, the same for all members",
     ),
+    "modes twice": (
+        dict(make=lambda draw: (*small.rolled(draw), rk.Modes()), modes=rk.Modes()),
+        "gives modes, which the study has, too",
+    ),
+    "no modes": (
+        dict(make=lambda draw: (*small.rolled(draw), draw["mass"])),
+        "is not what it must be",
+    ),
     "a method": (dict(method="fast"), "is not known"),
     "no draws": (dict(distributions={}), "at least one distribution"),
     "no distribution": (dict(distributions={"mass": 1.0}), "must be a distribution"),
@@ -195,6 +203,7 @@ def numbered(
     low=1.0,
     names=("energy", "fast"),
     modes=None,
+    made=None,
     ends=(),
     stops=False,
     **options,
@@ -205,7 +214,8 @@ def numbered(
         pushed = rk.Force(lambda t, *at: along(jnp.asarray(record)[7] * t))
         scene = rk.Scene(small.ball(mass), loads=(rk.Gravity(), pushed))
         rate = along(draw["rate"])
-        return scene, rk.place(scene, small.UPRIGHT, rate, small.ORIGIN)
+        found = scene, rk.place(scene, small.UPRIGHT, rate, small.ORIGIN)
+        return found if made is None else (*found, made)
 
     here = rk.Event(
         lambda *at: position(*at)[0] - level, direction=direction, name="here"
@@ -237,6 +247,7 @@ CHANGED = {
     "low": (dict(low=1.1), {"distributions rate low (1.0, not 1.1)"}),
     "ends": (dict(ends=(rk.Code.SURFACE_EDGE,)), {"ends"}),
     "modes": (dict(modes=rk.Modes(friction=0.2)), {"modes"}),
+    "impact": (dict(made=rk.Modes(restitution=0.2, impact="newton")), {"modes"}),
     "rtol": (dict(rtol=1e-6), {"options rtol (None, not 1e-06)"}),
     "max_steps": (dict(max_steps=9), {"options max_steps (None, not 9)"}),
     "solver": (dict(solver=dfx.Tsit5()), set()),

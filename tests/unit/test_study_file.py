@@ -1,5 +1,6 @@
 """Studies in files: what is read, and how each mistake is told."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,6 +95,27 @@ def test_a_scene_file_beside_the_study(tmp_path):
     assert file.size is None
     assert (file.seed, file.sampling, file.block) == (0, "plain", None)
     np.testing.assert_array_equal(file.study.times, [0.0, 2.0])
+
+
+def test_numbers_of_modes_vary(tmp_path):
+    modes = "[modes]\nfriction = 0.2\nstatic_friction = 0.9\n[run]"
+    (tmp_path / "mine.toml").write_text(BALL.replace("[run]", modes))
+    text = 'scene = "mine.toml"\nobserve = ["spin"]\n'
+    one = VARY.replace("start.angular_velocity[2]", "modes.friction")
+    study = load_study(written(tmp_path, text + one)).study
+    drawn = study.draws.draw(jnp.array([0.5]))
+    assert study.modes is None
+    # of a mean of 3, which sticking refuses: NaN, as what a constructor refuses
+    assert jnp.isnan(jax.jit(study.make)(drawn)[2].static_friction)
+    few = one.replace("mean = 3.0", "mean = 0.3")
+    study = load_study(written(tmp_path, text + few)).study
+    _, _, modes = study.make(study.draws.draw(jnp.array([0.5])))
+    assert modes.friction == pytest.approx(0.3, rel=1e-14)
+    assert modes.static_friction == 0.9
+    other = written(tmp_path, text + VARY)
+    assert load_study(other).study.modes.friction == 0.2
+    with pytest.raises(SceneFileError, match=r"did you mean modes.friction\?"):
+        load_study(written(tmp_path, text + one.replace("friction", "fiction")))
 
 
 BALL = """

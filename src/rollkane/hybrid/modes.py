@@ -185,6 +185,11 @@ class HybridScene(Scene):
         return Scenes(under(self, law), under(self, Flying(), kept))
 
 
+def modes_of(scene: Scene) -> Modes | None:
+    """How a scene's contact may change; None: it does not."""
+    return scene.modes if isinstance(scene, HybridScene) else None
+
+
 class Scenes(NamedTuple):
     """A scene in every mode."""
 

@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from ..codegen.dependence import reached_outputs
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, Modes
+from ..hybrid.modes import HybridScene, Modes, modes_of
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
 from ..validation.program_digest import digest_of_traced
@@ -32,7 +32,8 @@ class Members(NamedTuple):
     Attributes:
         size: How many.
         scene: Scene, of which leaves may have an axis of members in front; or what
-            a function makes of a member's number.
+            a function makes of a member's number. A ``HybridScene`` where its contact
+            may change.
         starts: State, likewise.
         scene_axes: For each leaf of one scene: 0 where members differ, else None.
         start_axes: For each leaf of one state, likewise.
@@ -72,27 +73,23 @@ class Members(NamedTuple):
             jax.tree.unflatten(_structure(self.starts), self.start_axes),
         )
 
-    def axes_of_scene(self, modes: Modes | None) -> tuple[int | None, ...]:
-        """For each leaf of one scene, as a run in modes has it if there are some."""
-        if modes is None:
-            return tuple(self.scene_axes)
-        shared = -1  # for None would be no leaf
-        marks = [shared if axis is None else axis for axis in self.scene_axes]
-        scene = jax.tree.unflatten(_structure(self.scene), marks)
-        of_modes: Callable[[Any], int] = lambda _: shared
-        marked = HybridScene(scene, jax.tree.map(of_modes, modes))
-        found = cast("list[int]", jax.tree.leaves(marked))
-        return tuple(None if mark == shared else mark for mark in found)
+    @property
+    def modes(self) -> Modes | None:
+        """How their contacts may change, each its own way or all the same; or None."""
+        return modes_of(self.scene.one if isinstance(self.scene, _Made) else self.scene)
 
-    def given_scene(self, modes: Modes | None) -> Scene | None:
+    @property
+    def given_scene(self) -> Scene | None:
         """The scene of all members as it was given; None where it is made."""
-        if isinstance(self.scene, _Made):
-            return None
-        return self.scene if modes is None else HybridScene(self.scene, modes)
+        return None if isinstance(self.scene, _Made) else self.scene
 
 
 def members_of(
-    scene: Any, starts: Any, count: int | None, scene_axes: Any = None
+    scene: Any,
+    starts: Any,
+    count: int | None,
+    scene_axes: Any = None,
+    modes: Any = None,
 ) -> Members:
     """Find out which leaves have an axis of members.
 
@@ -102,6 +99,7 @@ def members_of(
         count: How many members; needed where functions alone say it.
         scene_axes: As ``in_axes`` of ``jax.vmap`` for the scene; None: found out by
             the shapes that its fields declare.
+        modes: Modes, batched or not, or None.
 
     Raises:
         FieldError: members that do not fit together, or none at all.
@@ -114,7 +112,9 @@ def members_of(
     scene, starts = _stacked("scene", scene, Scene), _stacked("starts", starts, State)
     scene_found = _axes_of("scene", scene, Scene, scene_axes)
     start_found = _axes_of("starts", starts, State, None)
+    mode_found = [] if modes is None else _axes_of("modes", modes, Modes, None)
     sizes = _sizes(scene, scene_found) | _sizes(starts, start_found)
+    sizes |= _sizes(modes, mode_found)
     if count is not None:
         sizes.add(whole("ensemble.count", count, 1, "give one"))
     if scene_axes is None and not isinstance(scene, _Made):
@@ -135,7 +135,36 @@ def members_of(
             "map rollkane.place over it (jax.vmap), or give count= with a function of "
             "the member's number; a single motion is rollkane.simulate's",
         )
+    if modes is not None:
+        scene, scene_found = _in_modes(scene, scene_found, modes, mode_found)
     return Members(sizes.pop(), scene, starts, scene_found, start_found)
+
+
+def _in_modes(
+    scene: Any, axes: _Axes, modes: Modes, own: _Axes
+) -> tuple[Any, list[int | None]]:
+    """Scenes whose contacts may change, and which leaves members have of their own."""
+    shared = -1  # for None would be no leaf
+    marks: Callable[[_Axes], list[int]] = lambda axes: [
+        shared if axis is None else axis for axis in axes
+    ]
+    marked = HybridScene(
+        jax.tree.unflatten(_structure(scene), marks(axes)),
+        jax.tree.unflatten(_structure(modes), marks(own)),
+    )
+    found = [None if x == shared else 0 for x in jax.tree.leaves(marked)]
+    if not isinstance(scene, _Made):
+        return HybridScene(scene, modes), found
+    made, structure = scene, _structure(scene)
+
+    def leaves(numbers: Array) -> list[Array]:
+        rows: OfLeaf = lambda axis, x: x if axis is None else jnp.asarray(x)[numbers]
+        whole = jax.tree.unflatten(structure, made.leaves(numbers))
+        return jax.tree.leaves(HybridScene(whole, by_axis(rows, own, modes)))
+
+    one: OfLeaf = lambda axis, x: x if axis is None else _at(x, 0)
+    whole = HybridScene(made.one, by_axis(one, own, modes))
+    return _Made(whole, tuple(found), leaves), found
 
 
 def _stacked(name: str, whole: Any, kind: type) -> Any:

@@ -16,7 +16,7 @@ import numpy as np
 from ..codegen import NoCompilerError, Results, platform
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, Modes, of
+from ..hybrid.modes import HybridScene, Modes, modes_of, of
 from ..integration.backends import METHODS
 from ..integration.diffrax_checks import check_kinds
 from ..integration.event_search import Happened
@@ -83,55 +83,55 @@ class EnsembleRun:
     ):
         """Check and plan it; see :func:`rollkane.ensemble`.
 
-        ``scene`` may be members that are known already.
+        ``scene`` may be members that are known already, with their modes.
         """
         ready = isinstance(scene, Members)
-        self.members = scene if ready else members_of(scene, starts, count, scene_axes)
+        if not ready:
+            scene = members_of(scene, starts, count, scene_axes, modes)
+        self.members: Members = scene
         self.traced = is_traced(scene, starts, times, rtol, atol)
         if method not in METHODS:
             raise FieldError(
                 "ensemble.method", method, "is not known", f"use one of {METHODS}"
             )
         check_kinds("ensemble", solver=solver)
-        self.observe, self.modes = observe, modes
+        self.observe, self.modes = observe, self.members.modes
         self.keeps = observe is None
         if keep_states is not None:
             self.keeps = flag("ensemble.keep_states", keep_states)
         example = self.members.example
         self.example = jax.eval_shape(example) if self.traced else example()
         scene, start = self.example
-        scene = scene if modes is None else HybridScene(scene, modes)
         self.fields = Fields.of(scene, start)
-        self.scene_axes = self.members.axes_of_scene(modes)
+        self.scene_axes = tuple(self.members.scene_axes)
         dtype = start.angular_velocity.dtype
         self.times = checked_times(times, dtype)
         known, _ = tolerances(rtol, atol, dtype)
         self.rtol, self.atol = known, atol
         self.solver = default_solver(known) if solver is None else solver
         self.how: dict[str, Any] = {
-            "modes": modes,
             "max_steps": max_steps,
             "solver": self.solver,
         }
         self.lanes, self.method = None, method
         at = jnp.asarray(self.times[0])
-        looked_for = events_of if modes is None else events_in_modes
+        looked_for = events_of if self.modes is None else events_in_modes
         self.events = looked_for(events, stop, scene, at, start, "ensemble")
         if self.events:
             self.how["events"] = self.events
         if not self.traced:
-            self._check(modes)
-        if method != "diffrax" and modes is None and not self.traced:
+            self._check()
+        if method != "diffrax" and self.modes is None and not self.traced:
             self._choose()
         self.block = self._size(block)
         # the next block is prepared while a GPU works
         able = 2 if platform() == "cuda" else processors()
         self.workers = _whole("workers", workers, able)
 
-    def _check(self, modes: Modes | None) -> None:
+    def _check(self) -> None:
         scene, start = self.example
         check_span(scene, self.times)
-        if modes is None:
+        if self.modes is None:
             check_start(scene, start)
         else:
             refuse_rolling_parts("ensemble.modes", scene.supported)
@@ -173,8 +173,8 @@ class EnsembleRun:
         scene, start = self.example
         if self.observe is None:
             return start
-        if self.modes is not None:
-            scene = HybridScene(scene, self.modes).in_modes.rolling
+        if isinstance(scene, HybridScene):
+            scene = scene.in_modes.rolling
             start = jax.eval_shape(lambda start: of(start).rolling(), start)
         return start, jax.eval_shape(self.observe, scene, self.times[0], start)
 
@@ -272,8 +272,6 @@ class EnsembleRun:
     def _ensemble(
         self, made: dict[str, Any], scene: Scene, first: int, count: int
     ) -> Ensemble:
-        if self.modes is not None:
-            scene = HybridScene(scene, self.modes)
         values = {name: made.pop(name) for name in (*_ENDS, *_STATES)}
         values["observed"] = None
         if self.observe is not None:
@@ -305,7 +303,7 @@ def _simulated(
     times: Any,
 ) -> Trajectory:
     def one(scene: Scene, start: State) -> Trajectory:
-        run = simulate(scene, start, times, **how, **tolerances)
+        run = simulate(scene, start, times, modes=modes_of(scene), **how, **tolerances)
         known: Any = {"scene": None, "time": None, "switches": None}
         return dataclasses.replace(run, **known)  # not to be repeated for each member
 

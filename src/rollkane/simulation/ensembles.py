@@ -62,7 +62,8 @@ def ensemble(
         rtol: As in ``simulate`` [1].
         atol: As in ``simulate`` [unit of the state].
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
-        modes: How runs may change between rolling, slipping and flight.
+        modes: How runs may change between rolling, slipping and flight; numbers may
+            have the axis of members, as ``jax.vmap`` of :class:`Modes` makes it.
         max_steps: Most steps of a member; 4194304 by default.
         method: ``"native"``, ``"diffrax"``, or ``"auto"``: native where it can.
         block: Members that are worked on together; by default as many as keep outputs
@@ -84,7 +85,7 @@ def ensemble(
     )
     if run.traced:
         return run.whole()
-    return joined(list(run.blocks()), run.members.given_scene(run.modes))
+    return joined(list(run.blocks()), run.members.given_scene)
 
 
 def ensemble_blocks(

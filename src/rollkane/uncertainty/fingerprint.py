@@ -10,12 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import __version__
+from ..hybrid.modes import modes_of
 from ..validation.program_digest import (
     bytes_of_array,
     digest_of_bytes,
     digest_of_program,
 )
-from .moded_views import rates_of, state_at, value_of
+from .made_members import made
+from .moded_views import rates, state_at, value_of
 from .study import Observable, Study
 
 
@@ -36,19 +38,22 @@ def fingerprint(study: Study) -> dict[str, Any]:
     options["solver"] = None if solver is None else _of_solver(solver)
 
     def member(u: Any) -> tuple[Any, Any]:
-        return study.make(cast(Any, study.draws.draw(u)))
+        return made(study.make, cast(Any, study.draws.draw(u)), study.modes)
 
     def moved(u: Any, t: Any) -> Any:
         scene, start = member(u)
         surfaces = scene.body.surface, scene.base.surface
         ends = [one.extent(jnp.zeros(one.coordinate_count)) for one in surfaces]
-        leaves = jax.tree.leaves((scene, start))
-        return leaves, ends, rates_of(study.modes)(scene, t, start)
+        own: Any = scene
+        if study.modes is not None:  # told apart by themselves
+            own = eqx.tree_at(lambda s: s.modes, scene, None)
+        leaves = jax.tree.leaves((own, start))
+        return leaves, ends, rates(scene, t, start)
 
     def seen(functions: Mapping[str, Observable]) -> str:
         def values(u: Any, t: Any) -> Any:
             scene, start = member(u)
-            how = study.modes, scene, t, state_at(start, study.modes)
+            how = scene, t, state_at(scene, start)
             return [value_of(f, *how) for f in functions.values()]
 
         return digest_of_program(values, middle, t)
@@ -66,7 +71,7 @@ def fingerprint(study: Study) -> dict[str, Any]:
             *[_kept(e, i >= len(study.events)) for i, e in enumerate(events)],
             seen({str(i): event for i, event in enumerate(events)}),
         ],
-        "modes": _of_tree(study.modes),
+        "modes": _of_tree(modes_of(member(middle)[0])),
         "ends": list(study.ends),
         "options": options,
         "precision": str(np.dtype(jnp.result_type(float))),

@@ -10,15 +10,20 @@ from jaxtyping import Array, Float
 
 from ..codegen.dependence import reached_outputs
 from ..dynamics.scene import Scene
-from ..hybrid.modes import Modes
+from ..hybrid.modes import HybridScene, Modes
 from ..kinematics.coordinates import State
 from ..simulation.ensemble_members import Members
 from ..validation.checks import FieldError
 from .draws import Draws
-from .moded_views import Shown, rates_of, state_at, value_of
+from .moded_views import Shown, rates, state_at, value_of
 
-Make = Callable[[dict[str, Any]], tuple[Scene, State]]
-_REMEDY = "give a function of the draw that returns (scene, start), by jax.numpy"
+Make = Callable[
+    [dict[str, Any]], tuple[Scene, State] | tuple[Scene, State, Modes | None]
+]
+_REMEDY = (
+    "give a function of the draw that returns (scene, start), or (scene, start, "
+    "modes), by jax.numpy"
+)
 _CLOSED = "gives a scene in which a function closes over a drawn number"
 _HOLD = "let an equinox module hold the number and be the function"
 
@@ -31,7 +36,8 @@ class MadeMembers:
 
     Attributes:
         draws: What is drawn.
-        scene: Scene of the middle draw (every u = 1/2).
+        scene: Scene of the middle draw (every u = 1/2); a ``HybridScene`` where its
+            contact may change.
         start: Its start.
     """
 
@@ -44,7 +50,8 @@ class MadeMembers:
             make: Of scene and start, of one draw.
             draws: What is drawn.
             time: At which motions begin [s].
-            modes: How they may change between rolling, slipping and flight.
+            modes: How they may change between rolling, slipping and flight, where
+                ``make`` does not say it.
 
         Raises:
             FieldError: no scene and start come out, ``make`` cannot be traced, or a
@@ -52,11 +59,11 @@ class MadeMembers:
         """
         self.draws, self._make, self._modes = draws, make, modes
         middle = jnp.full(draws.dimension, 0.5)
-        self.scene, self.start = _pair(make(draws.draw(middle)))
+        self.scene, self.start = made(make, draws.draw(middle), modes)
         self._leaves, self._tree = _flat(self.scene, self.start)
         self._places = _places((self.scene, self.start))
         self._time = jnp.asarray(time, self.start.angular_velocity.dtype)
-        self._own = self._reached([rates_of(modes)])
+        self._own = self._reached([rates])
         self._scenes = len(jax.tree.leaves(self.scene))
         self._made: Any = jax.jit(jax.vmap(self._of_own))
 
@@ -86,7 +93,7 @@ class MadeMembers:
 
     def _of_own(self, u: Float[Array, " d"]) -> list[Array]:
         """Those leaves of one member that differ."""
-        leaves, _ = _flat(*_pair(self._make(self.draws.draw(u))))
+        leaves, _ = _flat(*self._pair(u))
         pairs = zip(leaves, self._own, strict=True)
         return [jnp.asarray(x) for x, own in pairs if own]
 
@@ -101,9 +108,7 @@ class MadeMembers:
                 one of them comes to.
         """
         seen: Callable[[Shown], Shown] = lambda f: (
-            lambda scene, t, start: value_of(
-                f, self._modes, scene, t, state_at(start, self._modes)
-            )
+            lambda scene, t, start: value_of(f, scene, t, state_at(scene, start))
         )
         self._reached([seen(f) for f in functions])
 
@@ -112,9 +117,9 @@ class MadeMembers:
         t = self._time
 
         def seen(u: Array) -> tuple[list[Any], Any]:
-            made = _pair(self._make(cast(Any, self.draws.draw(u))))
-            self._check_alike(*made)
-            leaves, tree = _flat(*made)
+            found = self._pair(u)
+            self._check_alike(*found)
+            leaves, tree = _flat(*found)
             # with the leaves known, nothing may depend on a draw
             scene, start = jax.tree.unflatten(tree, self._leaves)
             return leaves, [shown(scene, t, start) for shown in functions]
@@ -134,6 +139,10 @@ class MadeMembers:
             raise FieldError("Study.make", self._make, _CLOSED, _HOLD)
         return reached[:count]
 
+    def _pair(self, u: Any) -> tuple[Scene, State]:
+        """Scene and start as ``make`` gives them."""
+        return made(self._make, cast(Any, self.draws.draw(u)), self._modes)
+
     def _check_alike(self, scene: Scene, start: State) -> None:
         found, known = _places((scene, start)), self._places
         if found != known:
@@ -152,12 +161,22 @@ def _flat(scene: Scene, start: State) -> tuple[list[Any], Any]:
     return cast("tuple[list[Any], Any]", jax.tree.flatten((scene, start)))
 
 
-def _pair(made: Any) -> tuple[Scene, State]:
-    good = isinstance(made, tuple) and len(cast(Any, made)) == 2
-    if not good:
-        raise FieldError("Study.make", made, "is no (scene, start)", _REMEDY)
-    scene, start = cast("tuple[Any, Any]", made)
-    if not isinstance(scene, Scene) or not isinstance(start, State):
-        wrong = start if isinstance(scene, Scene) else scene
-        raise FieldError("Study.make", wrong, "is not what it must be", _REMEDY)
-    return scene, start
+def made(make: Make, draw: Any, modes: Modes | None) -> tuple[Scene, State]:
+    """Scene and start of a draw: with modes, of ``make`` or else these, in them.
+
+    Raises:
+        FieldError: something else comes out, or modes that are given already.
+    """
+    found: Any = make(draw)
+    if not isinstance(found, tuple) or len(cast(Any, found)) not in (2, 3):
+        raise FieldError("Study.make", found, "is no (scene, start)", _REMEDY)
+    scene, start, *own = cast("tuple[Any, ...]", found)
+    kinds = zip((scene, start, *own), (Scene, State, Modes | None), strict=False)
+    for one, kind in kinds:
+        if not isinstance(one, kind):
+            raise FieldError("Study.make", one, "is not what it must be", _REMEDY)
+    if own and modes is not None:
+        problem = "gives modes, which the study has, too"
+        raise FieldError("Study.make", own[0], problem, "leave out Study's modes=")
+    modes = own[0] if own else modes
+    return scene if modes is None else HybridScene(scene, modes), start

@@ -30,8 +30,10 @@ class Study:
     """Motions of random scenes and starts, and what is wanted to know of them.
 
     Attributes:
-        make: ``make(draw)`` -> (scene, start), of one draw, by jax.numpy operations;
-            ``draw`` has an array for each distribution, by its name.
+        make: ``make(draw)`` -> (scene, start), or (scene, start, modes) where numbers
+            of the modes (friction, restitution) are drawn, too; of one draw, by
+            jax.numpy operations. ``draw`` has an array for each distribution, by its
+            name.
         draws: The distributions.
         times: Output times [s], shape (T,).
         observe: By name: ``function(scene, t, state)`` -> numbers or truth values, of
@@ -39,8 +41,8 @@ class Study:
         series: By name, the like at every output time.
         events: Events that are counted; their first times are kept.
         stop: Events that end a motion.
-        modes: How motions may change between rolling, slipping and flight; the same
-            for all members: their numbers are not drawn.
+        modes: How motions may change between rolling, slipping and flight, the same
+            for all members; None where ``make`` gives them, or nothing changes.
         ends: Codes, besides success and an event that stops, with which a motion has
             ended as it should: what is observed there counts.
         options: ``rtol``, ``atol``, ``solver``, ``max_steps``, ``method``, as
@@ -83,8 +85,8 @@ class Study:
         if not isinstance(cast(Any, modes), Modes | None):
             problem = "must be Modes, the same for all members"
             remedy = (
-                "give Modes(...) of known numbers; draw those of the scene and the "
-                "start in make, and make a study for each friction and restitution"
+                "give Modes(...) of known numbers; where they are drawn let make "
+                "return (scene, start, modes)"
             )
             raise FieldError("Study.modes", modes, problem, remedy)
         self.modes = modes

@@ -1,7 +1,7 @@
 """A study from a TOML file: a scene file, what varies in it, what is looked at."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -19,6 +19,7 @@ from ..files.scene_files.loading import SceneFile, load_scene, read_tables
 from ..files.scene_files.problems import Report, SceneFileError, suggestion
 from ..geometry.rotations import quaternion_of
 from ..geometry.small_linear import matvec
+from ..hybrid.modes import Modes
 from ..identification import paths
 from ..validation.checks import FieldError
 from .checked_parts import checked, checked_parts
@@ -59,7 +60,8 @@ def load_study(source: str | PathLike[str]) -> StudyFile:
             beside it; ``[vary."PATH"]`` tables give distributions; ``observe`` and
             ``series`` list ready observables, ``[[events]]`` where one of them crosses
             a level. Paths are those of the scene (``body.mass``), and of the start, as
-            :func:`rollkane.place` takes it: ``start.angular_velocity[2]``, fixed axes.
+            :func:`rollkane.place` takes it: ``start.angular_velocity[2]``, fixed axes;
+            and of the modes, ``modes.friction``.
 
     Raises:
         SceneFileError: with everything that is wrong, each with line, field and remedy.
@@ -102,7 +104,7 @@ class _Checked:
                 observe=self.observe,
                 series=self.series,
                 events=self._all_events(file),
-                modes=file.modes,
+                modes=None if _draws_modes(self.varied) else file.modes,
                 rtol=file.rtol,
                 atol=file.atol,
                 method=file.method,
@@ -185,8 +187,8 @@ class _Checked:
         try:
             value = _number_at(_Model.of(self.file), path)
         except (FieldError, LookupError):
-            known = [*paths.floats(self.file.scene), *_start_paths(self.file)]
-            problem = "is no number of the scene or the start"
+            known = [*paths.floats(self.file.scene), *_other_paths(self.file)]
+            problem = "is no number of the scene, the start or the modes"
             meant = suggestion(path, known)
             listed = f"use one of {', '.join(known[:20])}"
             self._report.add(where, problem, meant or listed, at_key=True)
@@ -235,15 +237,17 @@ class _Checked:
 
 
 class _Model(eqx.Module):
-    """A scene, and its start as it is placed.
+    """A scene, its start as it is placed, and how its contact may change.
 
     Attributes:
         scene: What rolls on what.
         start: Arguments of ``place``, by name.
+        modes: Of its contact, or None.
     """
 
     scene: Scene
     start: dict[str, Any]
+    modes: Modes | None
 
     @staticmethod
     def of(file: SceneFile) -> "_Model":
@@ -260,7 +264,7 @@ class _Model(eqx.Module):
         }
         if contact.slip is not None:
             start["slip"] = matvec(contact.rotation, contact.slip)
-        return _Model(scene, start)
+        return _Model(scene, start, file.modes)
 
     def placed(self, near: Any, time: Any) -> Any:
         """The start, where the body touches next to where it did [m, body axes]."""
@@ -271,14 +275,20 @@ class _Model(eqx.Module):
         return place(self.scene, **start, **known, **sliding, time=time)
 
 
-def _start_paths(file: SceneFile) -> list[str]:
+def _other_paths(file: SceneFile) -> list[str]:
+    """Of the start and of the modes."""
     start = _Model.of(file).start
-    return [f"start.{name}" for name, x in start.items() if x.size]
+    found = [f"start.{name}" for name, x in start.items() if x.size]
+    return found + ([] if file.modes is None else [*paths.floats(file.modes, "modes")])
 
 
 def _keys(path: str) -> paths.Keys:
     keys = paths.keys_of(path)
-    return keys if keys[0] in ("scene", "start") else ("scene", *keys)
+    return keys if keys[0] in ("scene", "start", "modes") else ("scene", *keys)
+
+
+def _draws_modes(varied: Iterable[str]) -> bool:
+    return any(_keys(path)[0] == "modes" for path in varied)
 
 
 def _number_at(model: _Model, path: str) -> Any:
@@ -318,12 +328,13 @@ def _made(
     varied: tuple[str, ...],
     parts: list[paths.Keys],
     draw: Any,
-) -> tuple[Scene, Any]:
-    """Scene and start of one draw."""
+) -> Any:
+    """Scene and start of one draw; and modes, where they vary."""
     for path in varied:
         keys = _keys(path)
         old = paths.found(model, keys)
         new = jnp.asarray(draw[_word(path)], old.dtype)
         model = paths.replaced(model, keys, new)
     model = checked(model, parts)
-    return model.scene, model.placed(near, time)
+    found = model.scene, model.placed(near, time)
+    return (*found, model.modes) if _draws_modes(varied) else found

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..hybrid.modes import modes_of
 from ..simulation.ensemble_run import processors
 from ..simulation.run import simulate
 from ..validation.checks import FieldError
@@ -100,10 +101,10 @@ class StudyModel:
 
         def ended(u: Float[Array, " d"]) -> tuple[Array, Array]:
             scene, start = made.one(u)
-            run = simulate(scene, start, times, modes=study.modes, **options)
+            run = simulate(scene, start, times, modes=modes_of(scene), **options)
             last = jax.tree.map(_last, run.state)
             seen = {
-                name: value_of(f, study.modes, scene, run.time[-1], last)[None]
+                name: value_of(f, scene, run.time[-1], last)[None]
                 for name, f in study.observe.items()
             }
             return entry(seen, of, "value_and_gradient.of")[0], run.code

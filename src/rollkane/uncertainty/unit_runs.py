@@ -19,7 +19,6 @@ from jaxtyping import Float
 
 from ..codegen import platform
 from ..dynamics.scene import Scene
-from ..hybrid.modes import Modes
 from ..simulation.ensemble_result import Ensemble
 from ..simulation.ensemble_run import EnsembleRun
 from ..validation.checks import FieldError
@@ -88,7 +87,7 @@ class UnitRuns:
         self.unit = _IN_LANES
         self._run = self._runs_of(_IN_LANES)
         if self._run.lanes is None:
-            on_gpu = platform() == "cuda" and study.modes is None
+            on_gpu = platform() == "cuda" and self._run.modes is None
             self.unit = _ON_GPU if on_gpu else _AT_ONCE
             self._run = self._runs_of(self.unit)
         self.method = self.why = ""
@@ -105,7 +104,6 @@ class UnitRuns:
         return EnsembleRun(
             *(self.made.members(size), None, study.times),
             **study.options,
-            modes=study.modes,
             events=study.events,
             stop=study.stop,
             block=size,
@@ -190,8 +188,7 @@ class UnitRuns:
         count = len(time)
         time, state = jax.tree.map(self._filled, (time, state))
         axes = self._run.members.axes()[0]
-        how = tuple(functions.items()), self.study.modes, axes
-        values = _observed(*how, scene, time, state)
+        values = _observed(tuple(functions.items()), axes, scene, time, state)
         return {name: np.asarray(x)[:count] for name, x in values.items()}
 
     def _series(self, scene: Any, run: Ensemble, good: np.ndarray) -> Columns:
@@ -222,7 +219,7 @@ class UnitRuns:
 
     def _shape_of(self, where: str, function: Observable, time: Any) -> Any:
         remedy = "return one array of numbers or truth values, by jax.numpy"
-        scene, start = rolling_of(self.made.scene, self.made.start, self.study.modes)
+        scene, start = rolling_of(self.made.scene, self.made.start)
         asarray: Callable[[Any, Any, Any], Any] = lambda scene, t, state: jnp.asarray(
             function(scene, t, state)
         )
@@ -281,14 +278,13 @@ def _drawn(draws: Any, u: Any) -> Any:
 @eqx.filter_jit
 def _observed(
     functions: tuple[tuple[str, Observable], ...],
-    modes: Modes | None,
     axes: Any,
     scene: Any,
     time: Any,
     state: Any,
 ) -> dict[str, Any]:
     def one(scene: Scene, t: Any, state: Any) -> dict[str, Any]:
-        return {name: value_of(f, modes, scene, t, state) for name, f in functions}
+        return {name: value_of(f, scene, t, state) for name, f in functions}
 
     if jnp.ndim(time) == 2:  # at every time
         of_times = jax.vmap(one, (None, 0, 0))
