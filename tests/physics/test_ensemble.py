@@ -373,6 +373,21 @@ def test_modes_of_members_each_its_own():
     np.testing.assert_allclose(slope, [-3.5 * 9.81 * 2.0, 0.0], rtol=1e-9, atol=1e-9)
 
 
+def test_the_scene_of_a_run_with_modes_is_one_of_a_contact_that_stays():
+    """Where none are given, as ``simulate`` has it: it rolls, and does not slip."""
+    body = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(body, loads=rk.Gravity((4.0, 0.0, -9.0)))
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), np.zeros(3), np.zeros(3))
+    slips = rk.simulate(scene, start, [0.0, 0.1], modes=rk.Modes(friction=0.05))
+    assert slips.final_state.mode == rk.Mode.SLIPPING
+    rolls = rk.simulate(scene, start, [0.0, 0.1]).position[-1]
+    starts = jax.tree.map(lambda x: jnp.stack([x] * 2), start)
+    for known in (slips.scene, [slips.scene] * 2, lambda i: slips.scene):
+        runs = rk.ensemble(known, starts, [0.0, 0.1])
+        # one program for one motion and one for many: roundings of ten steps
+        np.testing.assert_allclose(runs.position[:, -1], [rolls] * 2, atol=1e-14)
+
+
 def test_what_the_native_loop_has_not_goes_by_diffrax():
     """And says why, or refuses where the loop was asked for."""
     scene, starts = discs(2)

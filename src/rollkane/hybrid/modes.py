@@ -190,6 +190,16 @@ def modes_of(scene: Scene) -> Modes | None:
     return scene.modes if isinstance(scene, HybridScene) else None
 
 
+def in_one_law(scene: Scene) -> Scene:
+    """A scene whose contact does not change: as it rolls, where its modes are lost."""
+    if not isinstance(scene, HybridScene):
+        return scene
+    found = object.__new__(Scene)
+    for field in dataclasses.fields(Scene):
+        object.__setattr__(found, field.name, getattr(scene, field.name))
+    return found
+
+
 class Scenes(NamedTuple):
     """A scene in every mode."""
 

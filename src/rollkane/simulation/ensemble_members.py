@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from ..codegen.dependence import reached_outputs
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, Modes, modes_of
+from ..hybrid.modes import HybridScene, Modes, in_one_law, modes_of
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
 from ..validation.program_digest import digest_of_traced
@@ -109,7 +109,8 @@ def members_of(
         raise FieldError("ensemble.scene", scene, "must be a Scene", remedy)
     if isinstance(scene, list | tuple) and scene_axes is None:
         scene_axes = 0  # as they are put together here
-    scene, starts = _stacked("scene", scene, Scene), _stacked("starts", starts, State)
+    scene = _stacked("scene", _in_one_law(scene), Scene)
+    starts = _stacked("starts", starts, State)
     scene_found = _axes_of("scene", scene, Scene, scene_axes)
     start_found = _axes_of("starts", starts, State, None)
     mode_found = [] if modes is None else _axes_of("modes", modes, Modes, None)
@@ -138,6 +139,17 @@ def members_of(
     if modes is not None:
         scene, scene_found = _in_modes(scene, scene_found, modes, mode_found)
     return Members(sizes.pop(), scene, starts, scene_found, start_found)
+
+
+def _in_one_law(scene: Any) -> Any:
+    """Scenes without modes of a run that they were of, as ``simulate`` takes them."""
+    if isinstance(scene, list | tuple):
+        return [in_one_law(one) for one in cast("Sequence[Any]", scene)]
+    if callable(scene) and not isinstance(scene, Scene):
+        made = cast("Callable[[Array], Scene]", scene)
+        plain: Callable[[Array], Scene] = lambda i: in_one_law(made(i))
+        return plain
+    return in_one_law(scene)
 
 
 def _in_modes(

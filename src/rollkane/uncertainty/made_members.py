@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ..codegen.dependence import reached_outputs
 from ..dynamics.scene import Scene
-from ..hybrid.modes import HybridScene, Modes
+from ..hybrid.modes import HybridScene, Modes, in_one_law
 from ..kinematics.coordinates import State
 from ..simulation.ensemble_members import Members
 from ..validation.checks import FieldError
@@ -179,4 +179,5 @@ def made(make: Make, draw: Any, modes: Modes | None) -> tuple[Scene, State]:
         problem = "gives modes, which the study has, too"
         raise FieldError("Study.make", own[0], problem, "leave out Study's modes=")
     modes = own[0] if own else modes
-    return scene if modes is None else HybridScene(scene, modes), start
+    changing = in_one_law(scene) if modes is None else HybridScene(scene, modes)
+    return changing, start
