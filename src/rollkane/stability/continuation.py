@@ -173,11 +173,12 @@ def walked(
         if not low <= next_.value <= high:
             end = low if next_.value < low else high
             landed = _landed(asked, here, tried, end)
-            way = way._replace(end="span")
-            if landed.error < SOLVED and here.value != end:
+            solved_there = landed.error < SOLVED
+            if solved_there and here.value != end:
                 last = made(asked, landed.point, here.tangent, dimensions)
                 way.points.append(last)
-            break
+            reached = solved_there or here.value == end
+            return way._replace(end="span" if reached else "not found")
         way.points.append(next_)
         step = 2.0 * far
     return way if step > _FEWEST else way._replace(end="not found")
