@@ -380,6 +380,7 @@ def test_refusals(swing):
         (high, -2.0, {}, "period: must be positive"),
         (high, 2.0, {"hold": {"colour": 1.0}}, "'colour'.: is not known.*'energy'"),
         (high, 2.0, {"hold": {"energy": "much"}}, "must be made of numbers"),
+        (high, 2.0, {"hold": 3}, "hold: is no name of a quantity"),
         (fast, 2.0, {"hold": {"spin": None}}, "'spin'.: is not left as it is"),
         (high, 2.0, {"segments": 0}, "segments: must be a whole number"),
         (

@@ -263,6 +263,9 @@ def test_refusals_name_ranks_and_directions(disc):
         rk.steady_motion(scene, guess, ("sped",))
     with pytest.raises(rk.FieldError, match="none with these values"):
         rk.steady_motion(scene, guess, {"energy": -5.0})
+    for unnamed in (3, (3,), {3: 1.0}):
+        with pytest.raises(rk.FieldError, match="hold: is no name of a quantity"):
+            rk.steady_motion(scene, guess, unnamed)
     loose = rk.steady_motion(scene, guess)
     with pytest.raises(rk.FieldError, match="leaves a family of 2 dimensions free"):
         rk.steady_family(scene, loose, "hold.speed", (0.5, 2.0))

@@ -169,6 +169,11 @@ WRONG = {
     ),
     "no times": (("times = [0.0, 0.1]", 'times = "ten"'), ("times",)),
     "a path": (('"body.mass"', '"body.mas"'), ("body.mas", "did you mean")),
+    "half a tensor": (
+        ('"body.mass"', '"body.inertia[0][1]"'),
+        ("is one half of a symmetric tensor", 'distribution = "inertia"'),
+    ),
+    "a row of a tensor": (('"body.mass"', '"body.inertia[0]"'), ("is one half of",)),
     "an index": (("velocity[2]", "velocity[7]"), ("is no number of",)),
     "an empty path": (('"body.mass"', '""'), ("vary",)),
     "a whole": (("velocity[2]", "velocity"), ("draws numbers of shape ()",)),

@@ -233,8 +233,15 @@ def test_refusals(change, said):
 @pytest.mark.parametrize("kind", [float, bool])
 def test_whether_it_happened_is_no_output_to_follow(kind):
     step = normal_model(lambda z: (z[0] > 4.0).astype(kind), 1)
-    with pytest.raises(rk.FieldError, match="too few values"):
+    with pytest.raises(rk.FieldError, match="more than a few values"):
         rk.subset_simulation(step, "value", 1.0)
+
+
+def test_a_threshold_out_of_reach():
+    """Levels pile up at the largest value there is."""
+    model = normal_model(lambda z: -(z[0] ** 2), 1)
+    with pytest.raises(rk.FieldError, match="within its reach"):
+        rk.subset_simulation(model, "value", 0.5)
 
 
 def test_counts_are_followed():

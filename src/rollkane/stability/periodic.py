@@ -206,7 +206,7 @@ def periodic_motion(
     )
     period = float(positive(f"{_FIELD}.period", period, (), "a time [s]"))
     segments = whole(f"{_FIELD}.segments", segments, 1, "give 1 or more")
-    held = held_of(shot, start, period, hold or {})
+    held = held_of(shot, start, period, hold)
     check_invariant(shot, start, held)
     if shot.driven:
         check_repeats(shot, start, period)

@@ -1,7 +1,7 @@
 """Quantities that a periodic motion can be asked to have, by name."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -13,22 +13,20 @@ from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, real
 from .closing_newton import PERIOD, Held, coordinates_of, scales
 from .neutral import FLOW, neutral
-from .quantities import NAMED
+from .quantities import NAMED, held_by_name
 from .shooting import Shooting, measured
 
 FIELD = "periodic_motion"
 
 
-def held_of(
-    shot: Shooting, start: State, period: float, hold: Mapping[str, Any]
-) -> tuple[Held, ...]:
+def held_of(shot: Shooting, start: State, period: float, hold: Any) -> tuple[Held, ...]:
     """What is held, with its values.
 
     Raises:
         FieldError: names that are not known, values that are no numbers.
     """
     found: list[Held] = []
-    for name, given in hold.items():
+    for name, given in held_by_name(f"{FIELD}.hold", hold).items():
         field = f"{FIELD}.hold[{name!r}]"
         one, value = _quantity(shot, start, field, name, given)
         if value is None:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeAlias, cast
 
 import jax.numpy as jnp
@@ -154,21 +154,37 @@ def held_quantities(
     Raises:
         FieldError: names that nothing has, values that are no finite numbers.
     """
-    if isinstance(hold, str):
-        hold = (hold,)
-    if not isinstance(hold, Mapping):
-        hold = dict.fromkeys(hold or ())
     chosen: list[Quantity] = []
     values: list[float | None] = []
-    for name, value in cast(Mapping[str, Any], hold).items():
+    for name, value in held_by_name(field, hold).items():
         where, function = f"{field}[{name!r}]", None
-        if isinstance(value, tuple):
-            function, value = cast(tuple[Any, Any], value)
-        elif callable(value):
+        if callable(value):
             function, value = value, None
+        elif isinstance(value, tuple) and len(cast(tuple[Any, ...], value)) == 2:
+            function, value = cast(tuple[Any, Any], value)
         chosen.append(quantity(where, problem, state, name, function))
         values.append(None if value is None else _number(where, value))
     return tuple(chosen), values
+
+
+def held_by_name(field: str, hold: Any) -> Mapping[str, Any]:
+    """What is held, each with its value or None.
+
+    Raises:
+        FieldError: neither names nor a mapping of them.
+    """
+    if hold is None:
+        return {}
+    names: list[Any] = [hold]
+    if isinstance(hold, Iterable) and not isinstance(hold, str):
+        names = list(cast(Iterable[Any], hold))
+    for name in names:
+        if not isinstance(name, str):
+            remedy = 'give names, such as ("speed",), or values: {"speed": 1.0}'
+            raise FieldError(field, name, "is no name of a quantity", remedy)
+    if isinstance(hold, Mapping):
+        return cast(Mapping[str, Any], hold)
+    return dict.fromkeys(names)
 
 
 def _number(field: str, value: Any) -> float:

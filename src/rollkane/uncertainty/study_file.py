@@ -196,6 +196,10 @@ class _Checked:
         if not paths.is_floating(value):
             problem, remedy = "is no number that can vary", "give the path of a float"
             self._report.add(where, problem, remedy, at_key=True)
+        if _is_half(_keys(path)):
+            problem = "is one half of a symmetric tensor, which would not stay so"
+            remedy = 'vary the whole: distribution = "inertia"'
+            self._report.add(where, problem, remedy, at_key=True)
 
     def _named(self, field: str) -> dict[str, Any]:
         given: Any = self._document.get(field, [])
@@ -285,6 +289,14 @@ def _other_paths(file: SceneFile) -> list[str]:
 def _keys(path: str) -> paths.Keys:
     keys = paths.keys_of(path)
     return keys if keys[0] in ("scene", "start", "modes") else ("scene", *keys)
+
+
+def _is_half(keys: paths.Keys) -> bool:
+    """Whether a path is that of an inertia's entry beside the diagonal, or of a row."""
+    if "inertia" not in keys:
+        return False
+    entry = keys[keys.index("inertia") + 1 :]
+    return len(entry) == 1 or (len(entry) == 2 and entry[0] != entry[1])
 
 
 def _draws_modes(varied: Iterable[str]) -> bool:

@@ -364,6 +364,9 @@ def _next_level(
     if not math.isfinite(goal):
         problem, remedy = "is known of too few motions", "look at what fails"
         raise FieldError(field, dict(margin.reasons), problem, remedy)
-    problem = "takes too few values to lead to the threshold: most motions share one"
-    remedy = "name an output that grows towards the event, such as a margin"
+    problem = "does not lead to the threshold: most motions share one value"
+    remedy = (
+        "name an output that takes more than a few values and grows towards the event, "
+        "such as a margin, or a threshold within its reach"
+    )
     raise FieldError(field, known, problem, remedy)
