@@ -203,24 +203,41 @@ def test_in_a_batch_the_lane_that_leaves_its_record_fails_alone():
     np.testing.assert_allclose(lanes.position[0], alone.position, atol=1e-12)
 
 
+def stops(times, kinks, jump=False):
+    """Ends and begins of each stop, once."""
+    found = (np.asarray(x) for x in landings(times, kinks, jump) if x is not None)
+    return [list(dict.fromkeys(x[np.isfinite(x)].tolist())) for x in found]
+
+
 def test_landings_hold_outputs_and_kinks_in_order():
     times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([-1.0, 1.5, 0.25, 1.0, 7.0])
-    found = np.asarray(landings(times, kinks).ends)
-    assert found[np.isfinite(found)].tolist() == [0.25, 1.0, 1.5, 2.0]
-    backwards = np.asarray(landings(-times, -kinks).ends)
-    assert backwards[np.isfinite(backwards)].tolist() == [-0.25, -1.0, -1.5, -2.0]
+    assert stops(times, kinks) == [[0.25, 1.0, 1.5, 2.0]]
+    assert stops(-times, -kinks) == [[-0.25, -1.0, -1.5, -2.0]]
     assert landings(times, None).ends.tolist() == [1.0, 2.0]
 
 
 def test_steps_end_before_a_jump_and_begin_behind_it():
     times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([0.25, 1.0, 2.0])
     for sign in (1.0, -1.0):
-        ends, starts = map(np.asarray, landings(sign * times, sign * kinks, jump=True))
-        known = np.isfinite(ends)
+        ends, starts = stops(sign * times, sign * kinks, jump=True)
         at = sign * np.array([0.25, 1.0, 2.0])
         before, behind = np.nextafter(at, 0.0), np.nextafter(at, 9.0 * sign)
-        assert ends[known].tolist() == [before[0], before[1], at[2]]
-        assert starts[known].tolist() == [behind[0], behind[1], at[2]]
+        assert ends == [before[0], before[1], at[2]]
+        assert starts == [behind[0], behind[1], at[2]]
+
+
+@pytest.mark.parametrize("jump", [False, True])
+def test_kinks_that_repeat_are_one_stop_with_the_output_beside_them(jump):
+    """Of two records at the same times, say, that differ by rounding."""
+    first = np.nextafter(0.3, 0.0)
+    kinks = jnp.array([first, 0.3, 0.6, np.nextafter(0.6, 1.0), 0.0, 1.0])
+    for output in (np.nextafter(first, 0.0), 0.3, np.nextafter(0.3, 1.0)):
+        ends, *behind = stops(jnp.array([0.0, output, 1.0]), kinks, jump)
+        for found in (ends, *behind):
+            assert len(found) == 3
+            # they lie within four roundings, and steps end one before or behind them
+            np.testing.assert_allclose(found, [0.3, 0.6, 1.0], rtol=0, atol=6e-16)
+            assert found[-1] == 1.0
 
 
 def test_an_output_beside_a_kink_is_on_both_sides_of_it():

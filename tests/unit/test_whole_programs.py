@@ -259,6 +259,8 @@ def test_sorts():
     compare(lambda x: jnp.sort(x), X)
     whole = lambda x: jnp.sort((1e3 * x).astype(int) % 17)
     compare(lambda x: (whole(x), jnp.sort(x > 0.5)), MANY)
+    rows = lambda x: jnp.reshape((1e3 * x).astype(int) % 5, (5, 12))
+    compare(lambda x: (jnp.argsort(x), jnp.argsort(rows(x), axis=0)), MANY)
 
 
 def moved(x):
@@ -381,7 +383,7 @@ def test_what_is_closed_over():
 
 
 def test_what_is_not_written_in_c():
-    sorts = lambda x: jnp.argsort(x)
+    sorts = lambda x: jnp.lexsort((x, x > 0.5))
     with pytest.raises(NotElementwiseError, match="sort"):
         in_one_program(sorts, MANY)
     np.testing.assert_array_equal(in_one_program_or_not(sorts, MANY), sorts(MANY))

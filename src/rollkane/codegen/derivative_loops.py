@@ -196,7 +196,9 @@ class CotangentLoop:
             )
 
         parts = "threads.h", *steps, *loop
-        return XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
+        # at -O3 the isolator's takes twice as long to compile, and the way back through
+        # its 20 s nine tenths of the time
+        return XlaCall(state.dtype, lanes, head, parts, effort="-O2", kernel=kernel)
 
     def __call__(
         self, way: Way, kept: Array, cotangents: Array, last_cotangent: Array

@@ -320,18 +320,22 @@ def _largest(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[
 
 
 def _sorted(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
-    """Numbers in order along an axis, of what is not one last."""
-    if len(inputs) > 1:
-        raise NotElementwiseError("a sort of several arrays by one")
-    aval, arrays = equation.outvars[0].aval, walk.arrays
-    axis: int = equation.params["dimension"]
-    count = aval.shape[axis]
-    x = arrays.in_memory(inputs[0], type_of(aval.dtype))
-    rows = arrays.copied(x.looked_at(lambda a: np.moveaxis(a, axis, -1)))
-    room = arrays.new((count,), x.type)
-    with arrays.loops(rows.shape[:-1]) as row:
-        walk.writer.line(f"sort({count}, &{rows.at((*row, 0))}, {room.base});")
-    return [rows.looked_at(lambda a: np.moveaxis(a, -1, axis))]
+    """Numbers in order along an axis, of what is not one last; others go with them."""
+    if len(inputs) > 2 or equation.params["num_keys"] > 1:
+        raise NotElementwiseError("a sort of more than two arrays, or by more than one")
+    arrays, axis = walk.arrays, equation.params["dimension"]
+    rows: list[Memory] = []
+    for given, out in zip(inputs, equation.outvars, strict=True):
+        x = arrays.in_memory(given, type_of(out.aval.dtype))
+        rows.append(arrays.copied(x.looked_at(lambda a: np.moveaxis(a, axis, -1))))
+    shape = rows[0].shape
+    room = [arrays.new(shape[-1:], x.type).base for x in rows]
+    with arrays.loops(shape[:-1]) as row:
+        places = [f"&{x.at((*row, 0))}" for x in rows]
+        pairs = [f"{x}, {to}" for x, to in zip(places, room, strict=True)]
+        others = ["NULL, NULL"] * (2 - len(pairs))
+        walk.writer.line(f"sort({', '.join([str(shape[-1]), *pairs, *others])});")
+    return [x.looked_at(lambda a: np.moveaxis(a, -1, axis)) for x in rows]
 
 
 def _unset(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:

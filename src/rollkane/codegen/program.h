@@ -31,17 +31,21 @@ INLINE void largest(long n, const real *x, long stride, long k, real *top, real 
     }
 }
 
-/* Put numbers in order, with room for as many; what is not one last. */
-INLINE void sort(long n, real *x, real *room) {
+/* Put numbers in order, what is not one last, and others, if any, as they go; with room for
+ * as many of both. */
+INLINE void sort(long n, real *x, real *room, real *others, real *room_of_others) {
     for (long half = 1; half < n; half *= 2) {
         for (long k = 0; k < n;) {
             const long from = k, middle = from + half < n ? from + half : n;
             const long end = middle + half < n ? middle + half : n;
             for (long i = from, j = middle; k < end; k++) {
                 const int second = j < end && (x[j] < x[i] || (x[i] != x[i] && x[j] == x[j]));
-                room[k] = i < middle && !second ? x[i++] : x[j++];
+                const long taken = i < middle && !second ? i++ : j++;
+                room[k] = x[taken];
+                if (others) room_of_others[k] = others[taken];
             }
         }
         memcpy(x, room, n * sizeof *x);
+        if (others) memcpy(others, room_of_others, n * sizeof *others);
     }
 }

@@ -57,7 +57,7 @@ class Landings(NamedTuple):
     the first behind it. A stage evaluated on the jump itself would have either value.
 
     Attributes:
-        ends: [s], shape (n,); infinite behind the last.
+        ends: [s], shape (n,), some of them twice; infinite behind the last.
         behind: [s], shape (n,), none of them before its end; None: the ends themselves.
     """
 
@@ -218,36 +218,34 @@ def landings(
     kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
     # closer together than this, two landings would ask for a step without length
     near = clock_step(times)
-    between = (kinks > outputs[0]) & (kinks < outputs[-1])
-    added = jnp.where(between & (_distance(kinks, outputs) > near), kinks, jnp.inf)
-    ends = jnp.sort(jnp.concatenate([outputs[1:], added]))
-    repeated = jnp.diff(ends) <= near
-    apart = jnp.where(repeated, jnp.inf, ends[1:])
-    ends = jnp.sort(jnp.concatenate([ends[:1], apart]))
+    between = (kinks > outputs[0] + near) & (kinks < outputs[-1])
+    kinks = jnp.where(between, _apart(kinks, near), jnp.inf)
+    # what is near to one of the others now is beside it, when all are in order
+    ends = jnp.concatenate([_apart(outputs[1:], near), kinks])
+    of_kink = np.arange(ends.shape[0]) >= outputs.shape[0] - 1
+    ends, of_kink = jax.lax.sort((ends, jnp.asarray(of_kink)), num_keys=1)
+    close, none = jnp.diff(ends) <= near, jnp.zeros(1, bool)
+    follows, leads = jnp.append(none, close), jnp.append(close, none)
+    first = jnp.where(follows, jnp.roll(ends, 1), ends)
+    last = jnp.where(leads, jnp.roll(ends, -1), ends)
+    # a kink beside an output is one stop with it, which steps pass at once
+    beside = of_kink & (follows | leads)
+    one_with: Callable[[Array], Array] = lambda x: jnp.where(
+        beside, jnp.where(follows, jnp.roll(x, 1), jnp.roll(x, -1)), x
+    )
     if not jump:
-        return Landings(ends * sign, None)
+        return Landings(one_with(ends) * sign, None)
     # the run itself ends on its last time, whatever is there
-    jumps = (_distance(ends, kinks) <= near) & (ends < outputs[-1])
+    jumps = (of_kink | follows | leads) & (ends < outputs[-1])
     # an output may be beside it by its rounding
-    kink = kinks[_nearest(ends, kinks)]
-    first, last = jnp.minimum(ends, kink), jnp.maximum(ends, kink)
     before = jnp.where(jumps, jnp.nextafter(first, -jnp.inf), ends)
     behind = jnp.where(jumps, jnp.nextafter(last, jnp.inf), ends)
-    return Landings(before * sign, behind * sign)
+    return Landings(one_with(before) * sign, one_with(behind) * sign)
 
 
-def _distance(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Float[Array, " n"]:
-    """Of each number from the nearest of a grid in order."""
-    nearest = jnp.abs(grid[_nearest(x, grid)] - x)
-    return jnp.where(jnp.isfinite(x), nearest, jnp.inf)
-
-
-def _nearest(x: Float[Array, " n"], grid: Float[Array, " k"]) -> Int[Array, " n"]:
-    """Which number of a grid in order is nearest to each."""
-    after = jnp.clip(jnp.searchsorted(grid, x), 0, grid.shape[0] - 1)
-    before = jnp.maximum(after - 1, 0)
-    nearer = jnp.abs(grid[before] - x) < jnp.abs(grid[after] - x)
-    return jnp.where(nearer, before, after)
+def _apart(x: Float[Array, " n"], near: Float[Array, ""]) -> Float[Array, " n"]:
+    """Numbers in order, those infinite that are near to the one before."""
+    return jnp.concatenate([x[:1], jnp.where(jnp.diff(x) <= near, jnp.inf, x[1:])])
 
 
 class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any, Any]):

@@ -135,7 +135,8 @@ class LaneBlocks:
                 sense * np.asarray(found.ends),
                 sense * np.asarray(found.starts),
             )
-        behind = np.isfinite(ends) & (ends > sense * times[0])
+        before = np.append(sense * times[0], ends[:-1])
+        behind = np.isfinite(ends) & (ends > sense * times[0]) & (ends > before)
         ends, starts = ends[behind], starts[behind]
         # of outputs at one time the last
         at = np.searchsorted(sense * times, starts, side="right") - 1
