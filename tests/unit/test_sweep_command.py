@@ -136,6 +136,27 @@ def test_the_scale_of_colours_tells_its_ends(tmp_path, monkeypatch):
     np.testing.assert_allclose(bar.get_yticks()[[0, -1]], [0.1, 0.9])
 
 
+def test_many_scales_of_colours_stand_in_rows(tmp_path, monkeypatch):
+    """Three side by side; what is constant but for rounding has one value."""
+    kept = []
+    monkeypatch.setattr(
+        plot_sweep, "write_picture", lambda path, figure: kept.append(figure)
+    )
+    grids = [("body.mass", (1.0, 2.0)), ("start.spin", (1.0, 2.0))]
+    height = 0.11 + np.array([0.0, 0.0, 1e-17, 0.0])
+    columns = {f"spin{i}_last": np.arange(4.0) for i in range(3)}
+    columns |= {"height_last": height, "outcome": np.full(4, "completed")}
+    units = {"spin": "rad/s", "height": "m"}
+    plot_sweep.plot_sweep(grids, columns, units, tmp_path / "a.png")
+    (figure,) = kept
+    *_, bar = (x for x in figure.axes if "at the end" in x.get_ylabel())
+    assert len(figure.axes) == 8  # four panels, each with its bar
+    assert bar.get_ylabel() == "height [m] at the end"
+    np.testing.assert_allclose(bar.get_yticks(), [0.11], rtol=1e-15)
+    width, high = figure.get_size_inches()
+    assert width < 2.5 * high
+
+
 def test_motions_that_end_early_are_counted(ball):
     done = rollkane_with(
         "sweep", str(ball), "--vary", "body.mass=1,2", "--max-steps", "5", "-q"

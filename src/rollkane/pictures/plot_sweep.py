@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST_PANELS = 6
+_MOST_PANELS, _SIDE_BY_SIDE = 6, 3
 _AS_ASKED = re.compile("completed|stopped: .*")  # the latter by an event
 
 # paths of a scene file and their values
@@ -107,27 +107,44 @@ def _colours(
     labels: Sequence[str],
 ) -> "Figure":
     (down, ys), (across, xs) = grids
-    figure = new_figure((1.0 + 5.2 * len(names), 4.4))
-    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    wide = min(len(names), _SIDE_BY_SIDE)
+    high = -(-len(names) // wide)
+    figure = new_figure((1.0 + 5.2 * wide, 0.4 + 4.0 * high))
+    panels = figure.subplots(high, wide, sharey=True, squeeze=False)
     shape = len(ys), len(xs)
     early = _early(columns).reshape(shape)
     rows, places = np.nonzero(early)
-    for panel, name, label in zip(panels, names, labels, strict=True):
+    for panel, name, label in zip(panels.flat, names, labels, strict=False):
         last = np.asarray(columns[f"{name}_last"], float).reshape(shape)
+        low, top, ticks = _scale(last)
         mesh = panel.pcolormesh(
-            *(xs, ys, np.ma.masked_invalid(last)), shading="nearest", cmap="cividis"
+            *(xs, ys, np.ma.masked_invalid(last)),
+            **{"shading": "nearest", "cmap": "cividis", "vmin": low, "vmax": top},
         )
-        bar = figure.colorbar(mesh, ax=panel)
+        bar = figure.colorbar(mesh, ax=panel, format="%.4g")
         bar.set_label(f"{label} at the end", color=INK)
-        if np.isfinite(last).any():
-            ends = float(np.nanmin(last)), float(np.nanmax(last))
-            bar.set_ticks(np.linspace(*ends, 5).tolist())
+        bar.set_ticks(ticks)
         _cross(panel, np.asarray(xs)[places], np.asarray(ys)[rows])
         panel.set_xlabel(across)
         dress(panel)
         panel.grid(False)
-    panels[0].set_ylabel(down)
+    for panel in panels.flat[len(names) :]:
+        panel.remove()
+    for panel in panels[:, 0]:
+        panel.set_ylabel(down)
     return figure
+
+
+def _scale(values: np.ndarray) -> tuple[float, float, list[float]]:
+    """Ends of a scale, and what it tells: of what is constant but for rounding, one."""
+    low, high = limits(values, 0.0)
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return low, high, []
+    least, greatest = float(known.min()), float(known.max())
+    if greatest - least < 0.99 * (high - low):
+        return low, high, [0.5 * (least + greatest)]
+    return least, greatest, np.linspace(least, greatest, 5).tolist()
 
 
 def _cross(panel: "Axes", x: np.ndarray, y: np.ndarray) -> None:
