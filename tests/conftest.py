@@ -49,7 +49,7 @@ gc.set_threshold(200_000, 50, 100)
 # Every compiled program takes about four mappings of memory, of which Linux gives a
 # process 65530; beyond, no shared library can be loaded any more. And with what JAX
 # keeps of it, a worker would hold 8 GB in the end.
-MAPPINGS, MEMORY = 50_000, 3 * 2**30
+MAPPINGS, MEMORY = 50_000, 5 * 2**30
 OWN = Path("/proc/self")
 TESTS = itertools.count()
 
