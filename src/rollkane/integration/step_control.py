@@ -226,8 +226,6 @@ def landings(
     ends, of_kink = jax.lax.sort((ends, jnp.asarray(of_kink)), num_keys=1)
     close, none = jnp.diff(ends) <= near, jnp.zeros(1, bool)
     follows, leads = jnp.append(none, close), jnp.append(close, none)
-    first = jnp.where(follows, jnp.roll(ends, 1), ends)
-    last = jnp.where(leads, jnp.roll(ends, -1), ends)
     # a kink beside an output is one stop with it, which steps pass at once
     beside = of_kink & (follows | leads)
     one_with: Callable[[Array], Array] = lambda x: jnp.where(
@@ -238,6 +236,8 @@ def landings(
     # the run itself ends on its last time, whatever is there
     jumps = (of_kink | follows | leads) & (ends < outputs[-1])
     # an output may be beside it by its rounding
+    first = jnp.where(follows, jnp.roll(ends, 1), ends)
+    last = jnp.where(leads, jnp.roll(ends, -1), ends)
     before = jnp.where(jumps, jnp.nextafter(first, -jnp.inf), ends)
     behind = jnp.where(jumps, jnp.nextafter(last, jnp.inf), ends)
     return Landings(one_with(before) * sign, one_with(behind) * sign)
