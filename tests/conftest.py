@@ -48,7 +48,8 @@ gc.set_threshold(200_000, 50, 100)
 
 # Every compiled program takes about four mappings of memory, of which Linux gives a
 # process 65530; beyond, no shared library can be loaded any more. And with what JAX
-# keeps of it, a worker would hold 8 GB in the end.
+# keeps of it, a worker would hold 8 GB in the end: two are to fit into 16 GB, and what
+# is given back sooner is compiled again.
 MAPPINGS, MEMORY = 50_000, 5 * 2**30
 OWN = Path("/proc/self")
 TESTS = itertools.count()

@@ -152,9 +152,9 @@ def test_many_scales_of_colours_stand_in_rows(tmp_path, monkeypatch):
     *_, bar = (x for x in figure.axes if "at the end" in x.get_ylabel())
     assert len(figure.axes) == 8  # four panels, each with its bar
     assert bar.get_ylabel() == "height [m] at the end"
-    np.testing.assert_allclose(bar.get_yticks(), [0.11], rtol=1e-15)
+    np.testing.assert_allclose(bar.get_yticks(), [0.11], rtol=1e-15)  # roundings
     width, high = figure.get_size_inches()
-    assert width < 2.5 * high
+    assert width < 2.5 * high  # 2; all in one row five times
 
 
 def test_motions_that_end_early_are_counted(ball):

@@ -119,7 +119,10 @@ def _colours(
         low, top, ticks = _scale(last)
         mesh = panel.pcolormesh(
             *(xs, ys, np.ma.masked_invalid(last)),
-            **{"shading": "nearest", "cmap": "cividis", "vmin": low, "vmax": top},
+            shading="nearest",
+            cmap="cividis",
+            vmin=low,
+            vmax=top,
         )
         bar = figure.colorbar(mesh, ax=panel, format="%.4g")
         bar.set_label(f"{label} at the end", color=INK)
@@ -142,7 +145,7 @@ def _scale(values: np.ndarray) -> tuple[float, float, list[float]]:
     if not known.size:
         return low, high, []
     least, greatest = float(known.min()), float(known.max())
-    if greatest - least < 0.99 * (high - low):
+    if greatest - least < 0.99 * (high - low):  # else the same but for rounding
         return low, high, [0.5 * (least + greatest)]
     return least, greatest, np.linspace(least, greatest, 5).tolist()
 

@@ -135,8 +135,8 @@ class LaneBlocks:
                 sense * np.asarray(found.ends),
                 sense * np.asarray(found.starts),
             )
-        before = np.append(sense * times[0], ends[:-1])
-        behind = np.isfinite(ends) & (ends > sense * times[0]) & (ends > before)
+        # each of them once, behind the start
+        behind = np.isfinite(ends) & (ends > np.append(sense * times[0], ends[:-1]))
         ends, starts = ends[behind], starts[behind]
         # of outputs at one time the last
         at = np.searchsorted(sense * times, starts, side="right") - 1
