@@ -79,8 +79,7 @@ def pulled_back(
     cotangent = t, last.parts, last.direction
     zeros: _Of = lambda x: jnp.zeros_like(x)
     none = jax.tree.map(zeros, varied)
-    events = jnp.sum(record.steps[:, KIND] >= 0)
-    carry = record.length - 1, events, cotangent, none
+    carry = record.length - 1, record.events, cotangent, none
     more: Callable[[_Back], Array] = lambda c: c[0] >= 0
     *_, cotangent, of_varied = jax.lax.while_loop(more, one, carry)
 

@@ -88,8 +88,7 @@ class Loop(Trials):
         if record is not None:
             number, value = jnp.where(event, kind, -1), end.values[kind]
             row = tried.t, following.t, number, value, shown
-            known = following, c.path.switches.count, happens, slid
-            record = record.after(c.accepted, accept, row, *known)
+            record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
         code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
         values = self.values_after(c, end.values, event, after)

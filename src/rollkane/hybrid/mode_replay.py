@@ -144,16 +144,21 @@ class Record(NamedTuple):
             0; NaN where there was none, shape (N, 5).
         changed: States that events changed, each in one array, shape (S, n).
         kept: Where the run was at its start, and behind each step, N + 1 of them.
+        length: How many steps there are.
+        events: How many of them ended on an event.
     """
 
     steps: Float[Array, "N 5"]
     changed: Float[Array, "S n"]
     kept: Place
+    length: Int[Array, ""]
+    events: Int[Array, ""]
 
     @staticmethod
     def empty(steps: int, begun: Place, switches: int) -> "Record":
         """The start, and room for steps and switches."""
         size, dtype = pack(begun.y).shape[0], begun.t.dtype
+        none = jnp.asarray(0)
 
         def many(x: Array) -> Array:
             return jnp.zeros((steps + 1, *x.shape), x.dtype).at[0].set(x)
@@ -162,24 +167,27 @@ class Record(NamedTuple):
             jnp.full((steps, 5), jnp.nan, dtype),
             jnp.zeros((switches, size), dtype),
             jax.tree.map(many, begun),
+            none,
+            none,
         )
 
     def after(
         self,
-        row: Int[Array, ""],
         accept: Bool[Array, ""],
         step: tuple[Array, ...],
         following: Place,
-        count: Int[Array, ""],
         event: Bool[Array, ""],
         y: HybridState,
     ) -> "Record":
         """With an accepted step, what follows it, and what its event changed."""
         numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
+        length = self.length + jnp.where(accept, 1, 0)
         return Record(
-            stored(self.steps, row, accept, numbers),
-            stored(self.changed, count, event, pack(y)),
-            stored(self.kept, row + 1, accept, following),
+            stored(self.steps, self.length, accept, numbers),
+            stored(self.changed, self.events, event, pack(y)),
+            stored(self.kept, self.length + 1, accept, following),
+            length,
+            self.events + jnp.where(event, 1, 0),
         )
 
     def step(self, i: Int[Array, ""], count: Int[Array, ""]) -> "Taken":
@@ -188,11 +196,6 @@ class Record(NamedTuple):
         row = _there(self.steps, i)
         changed = unpack(_there(self.changed, count), after)
         return Taken(row, begun, picked(row[KIND] >= 0, changed, after))
-
-    @property
-    def length(self) -> Array:
-        """How many steps there are."""
-        return jnp.sum(~jnp.isnan(self.steps[:, _END]))
 
 
 class Taken(NamedTuple):
