@@ -216,6 +216,26 @@ def test_landings_hold_outputs_and_kinks_in_order():
     assert landings(times, None).ends.tolist() == [1.0, 2.0]
 
 
+@pytest.mark.parametrize("jump", [False, True])
+def test_landings_of_known_times_are_those_a_program_finds(jump):
+    """By NumPy ahead of it, or as it runs: the same numbers."""
+    program = jax.jit(landings, static_argnums=2)
+    random = np.random.default_rng(5)
+    grid = np.linspace(0.0, 1.0, 21)
+    for sign in (1.0, -1.0):
+        times = np.unique(np.append(random.choice(grid, 6), random.uniform(0, 1, 3)))
+        kinks = np.concatenate([random.choice(grid, 9), random.uniform(-0.5, 1.5, 9)])
+        # some repeat, some lie beside another by a rounding
+        kinks = np.append(kinks, np.nextafter(kinks[:4], 2.0 * random.integers(0, 2)))
+        for dtype in (np.float64, np.float32):
+            given = (sign * times).astype(dtype), kinks.astype(dtype) * dtype(sign)
+            known, found = landings(*given, jump), program(*given, jump)
+            assert (known.behind is None) == (found.behind is None) == (not jump)
+            for one, other in zip(*map(jax.tree.leaves, (known, found)), strict=True):
+                assert one.dtype == dtype
+                np.testing.assert_array_equal(one, other)
+
+
 def test_steps_end_before_a_jump_and_begin_behind_it():
     times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([0.25, 1.0, 2.0])
     for sign in (1.0, -1.0):

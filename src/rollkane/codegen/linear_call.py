@@ -3,11 +3,12 @@
 Like ``jax.custom_derivatives.linear_call``, which has no batching rule.
 """
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -27,7 +28,8 @@ class Linear(NamedTuple):
 
     Attributes:
         forward: ``forward(residuals, operands)`` -> arrays.
-        backward: ``backward(residuals, cotangents)``, its transpose.
+        backward: ``backward(residuals, cotangents)``, its transpose; a cotangent that
+            nothing asks for is an array of NumPy's, of zeros (:func:`is_asked_for`).
         many: ``forward`` for operands with an axis in front, if it knows them.
         again: The same functions in a form that can be differentiated by the residuals;
             None: as they are.
@@ -40,22 +42,48 @@ class Linear(NamedTuple):
     again: "Linear | None" = None
     refuse: Callable[[], None] | None = None
 
-    @property
-    def transpose(self) -> "Linear":
-        """The transpose, which is pulled one at a time."""
-        again = None if self.again is None else self.again.transpose
-        return Linear(self.backward, self.forward, again=again)
+    def transpose(
+        self, asked: Sequence[bool], outputs: Sequence[ShapedArray]
+    ) -> "Linear":
+        """The transpose, which is pulled one at a time, for some cotangents alone.
+
+        Args:
+            asked: Which they are.
+            outputs: Shapes and types of all.
+        """
+
+        def back(residuals: Sequence[Array], given: Sequence[Array]) -> list[Array]:
+            left = iter(given)
+            none: Callable[[ShapedArray], Any] = lambda x: np.zeros(x.shape, x.dtype)
+            pairs = zip(asked, outputs, strict=True)
+            filled: list[Any] = [
+                next(left) if is_asked else none(x) for is_asked, x in pairs
+            ]
+            return self.backward(residuals, filled)
+
+        def forth(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
+            return list(itertools.compress(self.forward(residuals, operands), asked))
+
+        again = None if self.again is None else self.again.transpose(asked, outputs)
+        return Linear(back, forth, again=again)
 
     def mapped(self, axes: list[int | None]) -> "Linear":
         """For residuals with these axes, and operands with one in front."""
 
         def over(function: Along) -> Along:
-            def one(r: list[Array], x: list[Array]) -> list[Array]:
-                return list(function(r, x))
+            def run(residuals: Sequence[Array], given: Sequence[Array]) -> list[Array]:
+                # what nothing asks for is known to be so for each
+                none = [None if is_asked_for(x) else x[0] for x in given]
+                asked = [x for x in given if is_asked_for(x)]
 
-            return lambda residuals, operands: jax.vmap(one, in_axes=(axes, 0))(
-                list(residuals), list(operands)
-            )
+                def one(r: list[Array], x: list[Array]) -> list[Array]:
+                    left = iter(x)
+                    filled: Any = [next(left) if n is None else n for n in none]
+                    return list(function(r, filled))
+
+                return jax.vmap(one, in_axes=(axes, 0))(list(residuals), asked)
+
+            return run
 
         shared = all(axis is None for axis in axes)
         forward = self.many if self.many and shared else over(self.forward)
@@ -76,6 +104,11 @@ def linear_call(
     """
     parameters = {"linear": linear, "count": len(residuals), "outputs": outputs}
     return _bind(*residuals, *operands, **parameters)
+
+
+def is_asked_for(cotangent: Any) -> bool:
+    """Whether a cotangent of ``Linear.backward`` may be other than zero."""
+    return not isinstance(cotangent, np.ndarray)
 
 
 def unchanged(residuals: Sequence[Array], operands: Sequence[Array]) -> list[Array]:
@@ -135,13 +168,11 @@ def _transpose(
     if linear.refuse is not None:  # now: before what is transposed ahead of it
         linear.refuse()
     residuals, operands = args[:count], args[count:]
-    filled = [
-        jnp.zeros(s.shape, s.dtype) if isinstance(c, ad.Zero) else c
-        for c, s in zip(cotangents, outputs, strict=True)
-    ]
+    asked = [not isinstance(c, ad.Zero) for c in cotangents]
+    given = list(itertools.compress(cotangents, asked))
     sizes = shapes_of(a.aval for a in operands)
-    result = linear_call(linear.transpose, residuals, filled, sizes)
-    return [None] * count + list(result)
+    back = linear.transpose(asked, outputs)
+    return [None] * count + linear_call(back, residuals, given, sizes)
 
 
 def _batch(

@@ -32,7 +32,9 @@ from .whole_numbers import type_of
 _WORTH_A_COMPILER, _LONG = 2_000, 12_000
 
 
-def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
+def in_one_program(
+    function: Callable[..., Any], *arguments: Any, briefly: bool = False
+) -> Any:
     """What a function gives, by a program in C, inside of XLA's.
 
     In a batch it runs once for each member, on all processors.
@@ -40,6 +42,7 @@ def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
     Args:
         function: Of trees with arrays, to a tree of arrays; pure, not differentiated.
         arguments: Those trees.
+        briefly: Whether it runs so briefly that the compiler takes less care.
 
     Raises:
         NotElementwiseError: an operation that is not written in C.
@@ -49,16 +52,19 @@ def in_one_program(function: Callable[..., Any], *arguments: Any) -> Any:
         raise NoCompilerError("whole programs run on processors alone")
     whole = Whole.of(function, *arguments)
     parts = *whole.parts, "threads.h", "program_call.c"
-    call = XlaCall(whole.dtype, 1, whole.head, parts, whole.further, whole.effort)
+    effort = "-O1" if briefly else whole.effort
+    call = XlaCall(whole.dtype, 1, whole.head, parts, whole.further, effort)
     given = whole.given(jax.tree.leaves(eqx.filter(arguments, eqx.is_array)))
     handed = [in_one(given.small, whole.dtype), *given.large]
     return whole.result(call(whole.shapes, *handed))
 
 
-def in_one_program_or_not(function: Callable[..., Any], *arguments: Any) -> Any:
+def in_one_program_or_not(
+    function: Callable[..., Any], *arguments: Any, briefly: bool = False
+) -> Any:
     """The same, or where that cannot be by XLA's program."""
     try:
-        return in_one_program(function, *arguments)
+        return in_one_program(function, *arguments, briefly=briefly)
     except (NotElementwiseError, NoCompilerError):
         return function(*arguments)
 

@@ -21,6 +21,7 @@ from ..codegen import (
     in_one_program_or_not,
     with_known_zeros,
 )
+from ..codegen.linear_call import is_asked_for
 from ..codegen.tableau import Weights, tableau_of, weights_of
 from ..codegen.tracing import shared_in_c
 from ..dynamics.clearance import reach_of
@@ -321,14 +322,17 @@ class _Runs(NamedTuple):
         """Cotangents, of recorded steps."""
         del once
 
-        def pulled(varied: Any, record: Record, cotangents: Cotangents) -> Any:
-            made, mode = self.make(inputs_of), jnp.asarray(self.mode)
-            return pulled_back(made, varied, mode, record, cotangents)
-
         of_path = cotangents.state, None, cotangents.switches
         parts = of_path, cotangents.final_time, cotangents.final_state
+        asked, zeros = cast(tuple[Any, Any], eqx.partition(parts, is_asked_for))
+
+        def pulled(varied: Any, record: Record, asked: Any) -> Any:
+            made, mode = self.make(inputs_of), jnp.asarray(self.mode)
+            cotangents = cast(Cotangents, eqx.combine(asked, zeros))
+            return pulled_back(made, varied, mode, record, cotangents)
+
         call = in_one_program_or_not if self.native else _called
-        return call(pulled, varied, record, parts)
+        return call(pulled, varied, record, asked)
 
 
 @shared_in_c  # asked for at the start and at the end of a run

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.derivatives import pulled
+from ..codegen.linear_call import is_asked_for
 from ..codegen.tableau import stage_sum
 from ..codegen.tracing import becomes_c
 from ..geometry.small_linear import dot
@@ -51,17 +52,20 @@ def pulled_back(
         varied: Tree of floats.
         mode: At the first time.
         record: Of the accepted steps.
-        cotangents: Of path, time and state, as a run leaves them; those of integers are
-            not looked at.
+        cotangents: Of path, time and state, as a run leaves them, some perhaps not
+            asked for (``codegen.linear_call``); those of integers are not looked at.
     """
     (saved, _, switches), t, last = cotangents
 
     def of_shown(taken: Taken, count: Int[Array, ""]) -> OfPlace:
         """What outputs and switches ask of the end of a step."""
         event = taken.kind >= 0
-        part: Callable[[Array, Array, Array], Array] = lambda where, array, i: (
-            jnp.where(where, array[i], 0.0)
-        )
+
+        def part(where: Array, array: Array, i: Array) -> Array:
+            if not is_asked_for(array):
+                return array[0]
+            return jnp.where(where, array[i], 0.0)
+
         at_output: _Of = lambda array: part(taken.output > 0, array, taken.output)
         at_event: _Of = lambda array: part(event, array, count)
         y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))

@@ -136,39 +136,35 @@ _Changed: TypeAlias = Callable[[Motion, Array, Array, Array, Array, HybridState]
 
 
 class Record(NamedTuple):
-    """Accepted steps.
+    """Accepted steps; whole numbers are kept as floats, as programs in C leave them.
 
     Attributes:
         steps: A row for each: where it ended [s], where the next one began [s], which
             event it ended on, or -1, and its value there, which output it ended on, or
-            0; NaN where there was none, shape (N, 5).
+            0, shape (N, 5).
         changed: States that events changed, each in one array, shape (S, n).
         kept: Where the run was at its start, and behind each step, N + 1 of them.
-        length: How many steps there are.
-        events: How many of them ended on an event.
+        counted: How many steps there are, and how many of them ended on an event.
     """
 
     steps: Float[Array, "N 5"]
     changed: Float[Array, "S n"]
     kept: Place
-    length: Int[Array, ""]
-    events: Int[Array, ""]
+    counted: Float[Array, "2"]
 
     @staticmethod
     def empty(steps: int, begun: Place, switches: int) -> "Record":
         """The start, and room for steps and switches."""
         size, dtype = pack(begun.y).shape[0], begun.t.dtype
-        none = jnp.asarray(0)
 
         def many(x: Array) -> Array:
-            return jnp.zeros((steps + 1, *x.shape), x.dtype).at[0].set(x)
+            return jnp.zeros((steps + 1, *x.shape), dtype).at[0].set(x)
 
         return Record(
-            jnp.full((steps, 5), jnp.nan, dtype),
+            jnp.zeros((steps, 5), dtype),
             jnp.zeros((switches, size), dtype),
             jax.tree.map(many, begun),
-            none,
-            none,
+            jnp.zeros(2, dtype),
         )
 
     def after(
@@ -180,19 +176,29 @@ class Record(NamedTuple):
         y: HybridState,
     ) -> "Record":
         """With an accepted step, what follows it, and what its event changed."""
-        numbers = jnp.stack([x.astype(self.steps.dtype) for x in step])
-        length = self.length + jnp.where(accept, 1, 0)
+        float_of: Callable[[Array], Array] = lambda x: x.astype(self.steps.dtype)
+        following = following._replace(mode=float_of(following.mode))
         return Record(
-            stored(self.steps, self.length, accept, numbers),
+            stored(self.steps, self.length, accept, jnp.stack([*map(float_of, step)])),
             stored(self.changed, self.events, event, pack(y)),
             stored(self.kept, self.length + 1, accept, following),
-            length,
-            self.events + jnp.where(event, 1, 0),
+            self.counted + float_of(jnp.stack([accept, event])),
         )
+
+    @property
+    def length(self) -> Int[Array, ""]:
+        """How many steps there are."""
+        return self.counted[0].astype(int)
+
+    @property
+    def events(self) -> Int[Array, ""]:
+        """How many of them ended on an event."""
+        return self.counted[1].astype(int)
 
     def step(self, i: Int[Array, ""], count: Int[Array, ""]) -> "Taken":
         """A step, before which there were so many events."""
         begun, after = _there(self.kept, i), _there(self.kept.y, i + 1)
+        begun = begun._replace(mode=begun.mode.astype(int))
         row = _there(self.steps, i)
         changed = unpack(_there(self.changed, count), after)
         return Taken(row, begun, picked(row[KIND] >= 0, changed, after))

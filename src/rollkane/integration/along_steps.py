@@ -1,5 +1,9 @@
 """Derivatives of a plain run along its steps, which are replayed."""
 
+from collections.abc import Callable
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
@@ -10,7 +14,6 @@ from .event_times import Moments
 from .plans import Plan, Rates, Record, Solution
 from .recorded_steps import Steps
 from .replay import Run
-from .solve import landings_of
 
 
 def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
@@ -29,9 +32,8 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
         def start(*varied: Array) -> Array:
             return inputs_of(varied)[1]
 
-        model, _, times, *_ = inputs_of(varied)
+        _, _, times, where, *_ = inputs_of(varied)
         begun, count, kept, *events = record
-        where = landings_of(model, times, plan)
         moments = Moments.of(times, events[0]) if events else None
         shown = times if moments is None else moments.time
         steps = Steps.of(begun, count, kept, shown, where)
@@ -64,6 +66,8 @@ def by_steps_of(plan: Plan, rates: Rates) -> tuple[Push, Pull]:
         once: bool,
     ) -> list[Array]:
         run, steps, moments = run_of(inputs_of, varied, record)
+        known: Callable[[Any], Array] = lambda x: jnp.asarray(x)
+        cotangents = jax.tree.map(known, cotangents)  # asked for or not
         y, found = cotangents.y, cotangents.happened
         if moments is not None and found is not None:
             y = moments.together(y, found.y)

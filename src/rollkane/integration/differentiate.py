@@ -19,7 +19,13 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Array
 
-from ..codegen.linear_call import Linear, linear_call, shapes_of, unchanged
+from ..codegen.linear_call import (
+    Linear,
+    is_asked_for,
+    linear_call,
+    shapes_of,
+    unchanged,
+)
 from ..validation.checks import FieldError
 
 # A tree in two parts, and a tree as its leaves and its structure.
@@ -206,6 +212,9 @@ class _Replay(NamedTuple):
         misses = jnp.zeros((), bool)
         known: list[Array] = []
         for missing, cotangent in zip(unreached, cotangents, strict=True):
+            if not is_asked_for(cotangent):
+                known.append(cotangent)
+                continue
             misses |= jnp.any(missing & (cotangent != 0))
             known.append(jnp.where(missing, 0.0, cotangent))
         if self.pull is None:

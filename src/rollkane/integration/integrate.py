@@ -40,7 +40,7 @@ from .output_times import in_time, moved_in_time, not_by_times
 from .plans import Inputs, Plan, Record, Solution
 from .projection import Projected
 from .solve import plain, solve
-from .step_control import Stops, coarse
+from .step_control import Landings, Stops, coarse
 
 # Relative tolerance above which a step may be as wrong as it is long.
 LOOSEST = 0.1
@@ -84,6 +84,7 @@ def _integrated(
     start: Any,
     times: Float[Array, " T"],
     stops: Stops,
+    where: Landings | None,
     tolerances: list[Array],
     dt0: Float[Array, ""] | None,
     events: Events,
@@ -129,7 +130,9 @@ def _integrated(
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
     fixed_events = jax.lax.stop_gradient(events)
-    inputs = (model, y0, fixed_stops, rtol, atol, dt0, fixed_events, spoilt)
+    if where is None:  # times or samples are known when it runs
+        where = plan.landings(model, fixed_stops)
+    inputs = (model, y0, fixed_stops, where, rtol, atol, dt0, fixed_events, spoilt)
     if plan.adjoint is None:
         by_steps = by_steps_of(plan, rates) if plain(plan, times) else (None, None)
         solution = differentiable(

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ..validation.codes import Code
 from .event_search import Happened
+from .step_control import Landings, landings
 
 # ``rates(t, y, model)`` of the packed state.
 Rates: TypeAlias = Callable[[Array, Array, Any], Array]
@@ -18,8 +19,8 @@ Rates: TypeAlias = Callable[[Array, Array, Any], Array]
 Vectors: TypeAlias = Callable[[Any, Any, Any], list[Array]]
 # ``allowed(model, t, state)`` -> whether a step may end there.
 Allowed: TypeAlias = Callable[[Any, Any, Any], Array]
-# Model, first packed state, times [s], tolerances, first step [s] or None, events; any
-# behind.
+# Model, first packed state, times [s], where steps have to end, tolerances, first step
+# [s] or None, events; any behind.
 Inputs: TypeAlias = tuple[Any, ...]
 # Where steps began, how many there are, and what states were kept of them.
 Record: TypeAlias = tuple[Array, ...]
@@ -81,6 +82,16 @@ class Plan(NamedTuple):
     progress_meter: dfx.AbstractProgressMeter[Any]
     zeros: tuple[bytes, ...] | None
     allowed: Allowed | None = None
+
+    def landings(self, model: Any, times: Any) -> Landings:
+        """Where steps have to end: on outputs, and on corners of a model's motion.
+
+        Args:
+            model: What the motion depends on.
+            times: Of :class:`rollkane.integration.step_control.Stops` [s], shape (T,).
+        """
+        outputs = times if self.saveat is None else times[:: times.shape[0] - 1]
+        return landings(outputs, *self.problem.corners(model))
 
 
 class _Ended(Protocol):

@@ -144,7 +144,11 @@ def prepared(
         arrays, plan = cast("tuple[Plan, Plan]", eqx.partition(plan, eqx.is_array))
     numbers = [scalar(rtol, dtype), scalar(atol, dtype), np.asarray(by_size)]
     first = None if dt0 is None else scalar(checked_step(dt0, dtype), dtype)
-    others = times, stops_of(times), numbers, first, events
+    stops = stops_of(times)
+    kinks, _ = problem.corners(model)
+    known = kinks is not None and not is_traced((stops.time, kinks))
+    where = plan.landings(model, stops.time) if known else None
+    others = times, stops, where, numbers, first, events
     return Prepared.of((by_xla, around_loop), plan, model, (arrays,), others)
 
 

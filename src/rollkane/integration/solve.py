@@ -37,7 +37,6 @@ from .step_control import (
     ReplaySteps,
     coarse,
     first_step,
-    landings,
 )
 from .watched_steps import (
     Watched,
@@ -63,8 +62,8 @@ def solve(
         plan: How.
         rates: ``rates(t, y, model)`` -> those of the packed state, shape (n,).
         like: Shapes of a state.
-        inputs: Model, first packed state, times [s], tolerances, first step [s] or
-            None.
+        inputs: Model, first packed state, times [s], where steps have to end,
+            tolerances, first step [s] or None.
         replay: Record of steps to take; None: adaptive ones.
         adjoint: diffrax adjoint; None: it is not differentiated.
 
@@ -85,11 +84,10 @@ def _by_diffrax(
     replay: Record | None,
     adjoint: dfx.AbstractAdjoint | None,
 ) -> tuple[Solution, Record | None]:
-    model, y0, times, rtol, atol, _, events, *_ = inputs
+    model, y0, times, where, rtol, atol, _, events, *_ = inputs
     t0, t1 = times[0], times[-1]
     recording = replay is None and adjoint is not None and plan.adjoint is None
     if replay is not None:
-        where = landings_of(model, times, plan)
         controller = ReplaySteps(times=replay[0], landings=where, rtol=rtol, atol=atol)
     else:
         controller = _chooser(plan, rates, like, inputs, recording)
@@ -172,11 +170,11 @@ def _chooser(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> dfx.AbstractStepSizeController[Any, Any]:
     """What chooses the steps, refuses some, and ends some on events."""
-    model, _, times, rtol, atol, _, events, *_ = inputs
+    model, _, times, where, rtol, atol, _, events, *_ = inputs
     controller = plan.controller
     if controller is None:
         options = rtol, atol, _longest(plan, rates, like, inputs, recording)
-        controller = _landing(model, times, options, plan, bool(events))
+        controller = _landing(times, where, options, bool(events))
     holds = _holds(plan, model, like)
     if holds is not None:
         controller = refusing(controller, holds)
@@ -213,7 +211,7 @@ def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
 
 def _first_step(plan: Plan, like: Any, inputs: Inputs) -> Float[Array, ""]:
     """Length of the first step [s]."""
-    _, y0, times, _, _, dt0, *_ = inputs
+    _, y0, times, _, _, _, dt0, *_ = inputs
     if dt0 is not None:
         return dt0
     span = times[-1] - times[0]
@@ -227,23 +225,21 @@ def _longest(
     """Longest step of a run that is differentiated [s]; None: of any other."""
     if not recording or plan.controller is not None:
         return None
-    model, y0, times, rtol, *_ = inputs
+    model, y0, times, _, rtol, *_ = inputs
     order = plan.solver.order(dfx.ODETerm(cast(Any, rates)))
     span = times[-1] - times[0]
     ahead = jnp.sign(span) * _first_step(plan, like, inputs)
     longest = functools.partial(longest_step, rates, order or 1)
-    call = _by_xla if plan.zeros is None else in_one_program_or_not
-    return call(longest, model, times[0], y0, span, rtol, ahead)
-
-
-def _by_xla(function: Callable[..., Any], *arguments: Any) -> Any:
-    return function(*arguments)
+    given = model, times[0], y0, span, rtol, ahead
+    if plan.zeros is None:
+        return longest(*given)
+    return in_one_program_or_not(longest, *given, briefly=True)
 
 
 def _natively(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> tuple[Solution, Record | None]:
-    model, y0, times, _, _, _, events, *_ = inputs
+    model, y0, times, _, _, _, _, events, *_ = inputs
     leaves, tree = cast("tuple[list[Array], Any]", jax.tree.flatten((model, events)))
 
     def derivative(t: Array, y: Array, *leaves: Array) -> Array:
@@ -294,9 +290,8 @@ def _course(
     plan: Plan, rates: Rates, like: Any, inputs: Inputs, recording: bool
 ) -> Course:
     """What the loop in C is told of a run."""
-    model, _, times, rtol, atol, *_ = inputs
+    _, _, times, where, rtol, atol, *_ = inputs
     sense = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
-    where = landings_of(model, times, plan)
     longest = _longest(plan, rates, like, inputs, recording)
     return Course(
         time=times[0],
@@ -345,10 +340,9 @@ def plain(plan: Plan, times: Float[Array, " T"]) -> bool:
 
 
 def _landing(
-    model: Any,
     times: Float[Array, " T"],
+    where: Landings,
     options: tuple[Array, Array, Array | None],
-    plan: Plan,
     watched: bool,
 ) -> dfx.AbstractStepSizeController[Any, Any]:
     """Adaptive steps that end on outputs and on corners of the right-hand side.
@@ -366,7 +360,6 @@ def _landing(
         force_dtmin=False,
         norm=AboveRounding(rtol),
     )
-    where = landings_of(model, times, plan)
     if where.ends.shape[0] == 1 and not watched:
         return controller
     # its tolerances are the controller's, which diffrax declares as fields
@@ -377,12 +370,6 @@ def _least_step(times: Float[Array, " T"]) -> Float[Array, ""]:
     """What the times' rounding still tells apart [s]."""
     resolution = 10 * cast(Any, jnp.finfo(times.dtype).eps)
     return resolution * jnp.maximum(jnp.abs(times[0]), jnp.abs(times[-1]))
-
-
-def landings_of(model: Any, times: Float[Array, " T"], plan: Plan) -> Landings:
-    """Where steps have to end: on outputs, and on corners of the model's motion."""
-    outputs = times if plan.saveat is None else times[:: times.shape[0] - 1]
-    return landings(outputs, *plan.problem.corners(model))
 
 
 def _code(result: dfx.RESULTS, stuck: Bool[Array, ""]) -> Int[Array, ""]:

@@ -198,54 +198,70 @@ class LandOn(AbstractAround):
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 
 
-def landings(
-    times: Float[Array, " T"], kinks: Float[Array, " k"] | None, jump: bool = False
-) -> Landings:
+def landings(times: Any, kinks: Any, jump: bool = False) -> Landings:
     """Output times after the first, with the kinks between them, in order.
 
     Args:
-        times: Of :class:`Stops` [s], increasing or decreasing.
-        kinks: Times at which the right-hand side has a corner [s]; None: none.
+        times: Of :class:`Stops` [s], increasing or decreasing, shape (T,).
+        kinks: Times at which the right-hand side has a corner [s], shape (k,); None:
+            none.
         jump: Whether steps end before them and begin behind them, as it may jump there.
 
     Returns:
-        Where :class:`LandOn` ends its steps.
+        Where :class:`LandOn` ends its steps; of known times as arrays of NumPy's.
     """
     if kinks is None:
         return Landings(times[1:], None)
-    sign = jnp.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
+    if is_traced((times, kinks)):
+        return _landings(times, jax.lax.stop_gradient(kinks), jump, jnp)
+    # XLA would find them, too, while it compiles, and take a second for a thousand
+    with np.errstate(invalid="ignore"):  # how far infinite ones are apart
+        return _landings(np.asarray(times), np.asarray(kinks), jump, np)
+
+
+def _landings(times: Any, kinks: Any, jump: bool, library: Any) -> Landings:
+    """The same by JAX or by NumPy."""
+    sign = library.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     outputs = times * sign
-    kinks = jnp.sort(jax.lax.stop_gradient(kinks).astype(times.dtype) * sign)
+    kinks = library.sort(kinks.astype(times.dtype) * sign)
     # closer together than this, two landings would ask for a step without length
-    near = clock_step(times)
+    near = clock_step(times, library)
     between = (kinks > outputs[0] + near) & (kinks < outputs[-1])
-    kinks = jnp.where(between, _apart(kinks, near), jnp.inf)
+    kinks = library.where(between, _apart(kinks, near, library), library.inf)
     # what is near to one of the others now is beside it, when all are in order
-    ends = jnp.concatenate([_apart(outputs[1:], near), kinks])
-    of_kink = np.arange(ends.shape[0]) >= outputs.shape[0] - 1
-    ends, of_kink = jax.lax.sort((ends, jnp.asarray(of_kink)), num_keys=1)
-    close, none = jnp.diff(ends) <= near, jnp.zeros(1, bool)
-    follows, leads = jnp.append(none, close), jnp.append(close, none)
+    ends = library.concatenate([_apart(outputs[1:], near, library), kinks])
+    ends, of_kink = _in_order(ends, np.arange(ends.shape[0]) >= outputs.shape[0] - 1)
+    close, none = library.diff(ends) <= near, np.zeros(1, bool)
+    follows, leads = library.append(none, close), library.append(close, none)
     # a kink beside an output is one stop with it, which steps pass at once
     beside = of_kink & (follows | leads)
-    one_with: Callable[[Array], Array] = lambda x: jnp.where(
-        beside, jnp.where(follows, jnp.roll(x, 1), jnp.roll(x, -1)), x
+    one_with: Callable[[Any], Any] = lambda x: library.where(
+        beside, library.where(follows, library.roll(x, 1), library.roll(x, -1)), x
     )
     if not jump:
         return Landings(one_with(ends) * sign, None)
     # the run itself ends on its last time, whatever is there
     jumps = (of_kink | follows | leads) & (ends < outputs[-1])
     # an output may be beside it by its rounding
-    first = jnp.where(follows, jnp.roll(ends, 1), ends)
-    last = jnp.where(leads, jnp.roll(ends, -1), ends)
-    before = jnp.where(jumps, jnp.nextafter(first, -jnp.inf), ends)
-    behind = jnp.where(jumps, jnp.nextafter(last, jnp.inf), ends)
+    first = library.where(follows, library.roll(ends, 1), ends)
+    last = library.where(leads, library.roll(ends, -1), ends)
+    before = library.where(jumps, library.nextafter(first, -library.inf), ends)
+    behind = library.where(jumps, library.nextafter(last, library.inf), ends)
     return Landings(one_with(before) * sign, one_with(behind) * sign)
 
 
-def _apart(x: Float[Array, " n"], near: Float[Array, ""]) -> Float[Array, " n"]:
+def _in_order(ends: Any, of_kink: Any) -> tuple[Any, Any]:
+    """Times in order, each with what is said of it; equal ones as they stand."""
+    if is_traced(ends):
+        return cast(Any, jax.lax.sort((ends, jnp.asarray(of_kink)), num_keys=1))
+    order = np.argsort(ends, stable=True)
+    return ends[order], of_kink[order]
+
+
+def _apart(x: Any, near: Any, library: Any) -> Any:
     """Numbers in order, those infinite that are near to the one before."""
-    return jnp.concatenate([x[:1], jnp.where(jnp.diff(x) <= near, jnp.inf, x[1:])])
+    behind = library.where(library.diff(x) <= near, library.inf, x[1:])
+    return library.concatenate([x[:1], behind])
 
 
 class ReplaySteps(AbstractController, dfx.AbstractAdaptiveStepSizeController[Any, Any]):

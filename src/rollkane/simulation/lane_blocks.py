@@ -130,11 +130,9 @@ class LaneBlocks:
         elif _corners_differ(scene, members.scene_axes):
             raise NotForLanesError("the times of corners differ from member to member")
         else:
-            found = landings(jnp.asarray(times), kinks, jump)
-            ends, starts = (
-                sense * np.asarray(found.ends),
-                sense * np.asarray(found.starts),
-            )
+            found = landings(times, kinks, jump)
+            ends = sense * np.asarray(found.ends)
+            starts = sense * np.asarray(found.starts)
         # each of them once, behind the start
         behind = np.isfinite(ends) & (ends > np.append(sense * times[0], ends[:-1]))
         ends, starts = ends[behind], starts[behind]
