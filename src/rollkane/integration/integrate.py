@@ -115,7 +115,7 @@ def _integrated(
     rtol, atol, by_size = tolerances
     asked = (rtol, atol) if dt0 is None else (rtol, atol, dt0)
     fault, code_of_fault = first_fault(model, start, in_order(times), asked)
-    fixed_stops = jax.lax.stop_gradient(stops.time)
+    fixed_stops, fixed_events = jax.lax.stop_gradient((stops.time, events))
     start = plan.problem.consistent(model, fixed_stops[0], start)
     y0 = pack(start)
     good = (fault == NO_FAULT) & jnp.all(jnp.isfinite(y0))
@@ -129,9 +129,7 @@ def _integrated(
     sizes = jax.lax.stop_gradient(coarse(pack(plan.problem.sizes(start))))
     atol = atol * jnp.where(by_size, sizes, 1.0)
     spoilt = jnp.where(good, 0.0, jnp.nan).astype(y0.dtype)
-    fixed_events = jax.lax.stop_gradient(events)
-    if where is None:  # times or samples are known when it runs
-        where = plan.landings(model, fixed_stops)
+    where = where or plan.landings(model, fixed_stops)
     inputs = (model, y0, fixed_stops, where, rtol, atol, dt0, fixed_events, spoilt)
     if plan.adjoint is None:
         by_steps = by_steps_of(plan, rates) if plain(plan, times) else (None, None)

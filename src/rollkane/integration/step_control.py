@@ -213,17 +213,24 @@ def landings(times: Any, kinks: Any, jump: bool = False) -> Landings:
     if kinks is None:
         return Landings(times[1:], None)
     if is_traced((times, kinks)):
-        return _landings(times, jax.lax.stop_gradient(kinks), jump, jnp)
+        kinks = jax.lax.stop_gradient(kinks).astype(times.dtype)
+        return _landings(times, kinks, jump, jnp)
     # XLA would find them, too, while it compiles, and take a second for a thousand
+    known, kinks = np.asarray(times), np.asarray(kinks, times.dtype)
+    return of_numbers(_known_landings, np.append(known, kinks), known.size, jump)
+
+
+def _known_landings(numbers: Any, count: int, jump: bool) -> Landings:
+    """Of times, so many, and kinks one behind the other."""
     with np.errstate(invalid="ignore"):  # how far infinite ones are apart
-        return _landings(np.asarray(times), np.asarray(kinks), jump, np)
+        return _landings(numbers[:count], numbers[count:], jump, np)
 
 
 def _landings(times: Any, kinks: Any, jump: bool, library: Any) -> Landings:
     """The same by JAX or by NumPy."""
     sign = library.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     outputs = times * sign
-    kinks = library.sort(kinks.astype(times.dtype) * sign)
+    kinks = library.sort(kinks * sign)
     # closer together than this, two landings would ask for a step without length
     near = clock_step(times, library)
     between = (kinks > outputs[0] + near) & (kinks < outputs[-1])
