@@ -71,6 +71,9 @@ def test_in_a_batch_too(axes):
     many = lambda x: jnp.sum(jax.vmap(last_and_sum, axes)(ks, x))
     whole = np.sum(own, axis=0) if axes[1] is None else own
     np.testing.assert_array_equal(jax.grad(many)(xs), whole)
+    first = lambda x: jnp.sum(jax.vmap(lambda k, x: called(k, x)[0], axes)(ks, x))
+    jax.grad(first)(xs)
+    assert asked.pop() == [True, False, False]
     assert asked
     assert all(x == [False, True, True] for x in asked)
 

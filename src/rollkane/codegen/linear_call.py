@@ -73,7 +73,7 @@ class Linear(NamedTuple):
         def over(function: Along) -> Along:
             def run(residuals: Sequence[Array], given: Sequence[Array]) -> list[Array]:
                 # what nothing asks for is known to be so for each
-                none = [None if is_asked_for(x) else x[0] for x in given]
+                none = [None if is_asked_for(x) else x[0, ...] for x in given]
                 asked = [x for x in given if is_asked_for(x)]
 
                 def one(r: list[Array], x: list[Array]) -> list[Array]:

@@ -63,7 +63,7 @@ def pulled_back(
 
         def part(where: Array, array: Array, i: Array) -> Array:
             if not is_asked_for(array):
-                return array[0]
+                return array[0, ...]
             return jnp.where(where, array[i], 0.0)
 
         at_output: _Of = lambda array: part(taken.output > 0, array, taken.output)
