@@ -187,6 +187,8 @@ def test_what_is_never_reached_is_bounded():
     assert 0.0 < high < 1e-6
     assert np.isnan(found.likeliest).all()
     assert "P(value >= 1.5) = 0" in str(found)
+    assert "subset simulation    0, as the event was not seen" in str(found)
+    assert "inf" not in str(found)
 
 
 def test_what_is_likeliest():

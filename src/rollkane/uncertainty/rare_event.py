@@ -29,6 +29,12 @@ class Estimate(NamedTuple):
             return math.inf
         return self.standard_error / self.probability
 
+    def __str__(self) -> str:
+        """The probability and its error, where it has one."""
+        if not self.probability:
+            return "0, as the event was not seen"
+        return f"{self.probability:.4g} +- {100.0 * self.relative:.1f} %"
+
     def interval(self, level: float) -> tuple[float, float]:
         """Ends of an interval by a log-normal distribution [1].
 
@@ -168,7 +174,7 @@ class RareEvent:
             ("importance sampling", self.importance),
         ):
             if one is not None:
-                yield f"  {name:20} {one.probability:.4g} +- {100 * one.relative:.1f} %"
+                yield f"  {name:20} {one}"
         yield f"  levels of the first of {self.runs} runs of subset simulation:"
         yield "  level   threshold      given the last   error   accepted"
         for i, level in enumerate(self.levels):
