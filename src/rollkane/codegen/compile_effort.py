@@ -6,7 +6,6 @@ of a few calls, and what stands around a loop in C.
 
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from itertools import count
 from typing import Any, NamedTuple, TypeAlias, cast
 
@@ -19,6 +18,8 @@ from jax.core import eval_context
 
 from ..validation.checks import is_traced
 from ..validation.remembered import holds_no_numpy, remembered
+from .evaluation import evaluated
+from .scalar_program import NotElementwiseError
 from .tracing import not_collecting
 
 # LLVM's optimization, and XLA's own translation of fused loops (only some releases of
@@ -49,19 +50,31 @@ def for_one_call(
     return _on_its_own(function, jit, _LITTLE)
 
 
+def for_few_operations(function: Callable[..., Any]) -> Callable[..., Any]:
+    """As :func:`for_one_call`, of some hundred operations on single numbers.
+
+    What it gives of known arguments inside of ``jit`` is found without a compiler.
+    """
+    return _on_its_own(function, eqx.filter_jit, _LITTLE, short=True)
+
+
 def for_many_numbers(function: Callable[..., Any]) -> Callable[..., Any]:
     """As :func:`for_one_call`, of arrays so long that a faster program is worth it."""
     return _on_its_own(function, eqx.filter_jit, _SOME)
 
 
 def _on_its_own(
-    function: Callable[..., Any], jit: Callable[..., Any], effort: _Effort
+    function: Callable[..., Any],
+    jit: Callable[..., Any],
+    effort: _Effort,
+    short: bool = False,
 ) -> Callable[..., Any]:
     """The function, compiled with an effort where it is a program of its own."""
     function = not_collecting()(function)
     compiled = _with_effort(functools.partial(jit, function), effort)
     plain: Any = eqx.filter_jit(function)
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
+    long: set[Fixed] = set()  # forms of arguments of which it is not so short
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Any:
@@ -81,10 +94,18 @@ def _on_its_own(
             return function(*arguments)
         if traced and not _only_mapped(arguments):
             return plain(*arguments)  # derivatives take no options of the compiler
+        if not inside:
+            return compiled(*arguments)
         # known arguments in the middle of a trace: outside of it all the same, as a
         # whole (jax.ensure_compile_time_eval would also evaluate, one by one, what in
         # the function is known)
-        with eval_context() if inside else nullcontext():
+        with eval_context():
+            form = parted(arguments)[0]
+            if short and form not in long:
+                try:
+                    return evaluated(function, *arguments)
+                except NotElementwiseError:
+                    long.add(form)
             return compiled(*arguments)
 
     return call

@@ -37,7 +37,21 @@ _IN_NUMPY: dict[str, Callable[..., Any]] = {
     # of JAX 0.12 and later
     "one_minus_square": lambda x: (1 - x) * (1 + x),
     "sqrt": np.sqrt,
+    "is_finite": np.isfinite,
 }
+# those that a walk does itself, and that numbers take as they are
+_BY_THEMSELVES = (
+    "select_n",
+    "integer_pow",
+    "convert_element_type",
+    "copy",
+    "stop_gradient",
+)
+
+
+def is_quick(name: str) -> bool:
+    """Whether an operation on known numbers is done without XLA."""
+    return name in _IN_NUMPY or name in _BY_THEMSELVES
 
 
 def of_known(name: str, params: Params, operands: list[Any], dtype: np.dtype) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ..codegen import prepare_calls
-from ..codegen.compile_effort import for_one_call
+from ..codegen.compile_effort import for_few_operations, for_one_call
 from ..geometry.local_geometry import from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
@@ -277,7 +277,7 @@ def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
 _WHERE = "orientation", "contact_on_base", "base_normal", "near_on_body"
 
 
-@for_one_call  # known then, too, where only masses or speeds are traced
+@for_few_operations  # known then, too, where only masses or speeds are traced
 def _fit(
     body: AbstractSurface,
     base: AbstractSurface,
