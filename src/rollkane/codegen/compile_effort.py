@@ -100,8 +100,7 @@ def _on_its_own(
         # whole (jax.ensure_compile_time_eval would also evaluate, one by one, what in
         # the function is known)
         with eval_context():
-            form = parted(arguments)[0]
-            if short and form not in long:
+            if short and (form := parted(arguments)[0]) not in long:
                 try:
                     return evaluated(function, *arguments)
                 except NotElementwiseError:
