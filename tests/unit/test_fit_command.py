@@ -7,6 +7,7 @@ import math
 import os
 import re
 import sys
+import tomllib
 
 import click.testing
 import numpy as np
@@ -85,6 +86,7 @@ def test_what_it_finds_and_writes(folder):
     assert {
         *("estimates", "standard_errors", "names", "covariance", "sigma"),
         *("chi2", "degrees_of_freedom", "converged", "rollouts", "unseen"),
+        "start",
     } == set(found)
     assert found["converged"] is True
     # 153 samples, 10 coordinates, of which a common factor is not seen
@@ -129,6 +131,51 @@ def test_a_prior_tells_what_is_not_seen(folder):
     # the record says nothing of a common factor, so that the mass is known by its prior
     # alone; runs and derivatives are good to 1e-7, a condition number of 1e3 left of it
     np.testing.assert_allclose(found["standard_errors"]["body.mass"], 0.02, rtol=1e-4)
+
+
+TURNED = """
+[body]
+mass = 1.3
+inertia = [[2e-3, 0.0, 0.0], [0.0, 3e-3, 0.0], [0.0, 0.0, 4e-3]]
+surface = { kind = "ellipsoid", semi_axes = [0.2, 0.15, 0.1] }
+[base]
+surface = { kind = "plane" }
+[[loads]]
+kind = "gravity"
+[start]
+rotations = [["x", 20.0], ["z", 45.0]]
+angular_velocity = [0.5, 1.0, 3.0]
+contact_on_base = [0.2, 0.1, 0.0]
+[run]
+duration = 0.5
+outputs = 51
+rtol = 1e-10
+"""
+
+
+def test_a_start_for_the_scene_file(folder):
+    """Estimates are of the state, along body axes; a scene file has fixed ones."""
+    scene = folder / "turned.toml"
+    scene.write_text(TURNED)
+    file = load_scene(scene)
+    run = rk.simulate(file.scene, file.start, file.times, rtol=1e-10)
+    (folder / "run.csv").write_text(table(file.times, run.state.angular_velocity))
+    free = ("--free", "start.angular_velocity", "--json", "a.json")
+    kept = {"XLA_FLAGS": os.environ.get("XLA_FLAGS")}
+    command = ["fit", "turned.toml", "run.csv", *COLUMNS, *free]
+    result = click.testing.CliRunner(env=kept).invoke(main, command)
+    assert result.exit_code == 0, result.output
+    found = json.loads((folder / "a.json").read_text())
+    # without noise: runs at 1e-10, of numbers up to 3, by 51 samples
+    wanted = {"angular_velocity": [0.5, 1.0, 3.0], "contact_on_base": [0.2, 0.1, 0.0]}
+    for name, value in wanted.items():
+        np.testing.assert_allclose(found["start"][name], value, rtol=0, atol=1e-7)
+    estimate = found["estimates"]["start.angular_velocity"]
+    own = np.asarray(file.start.angular_velocity)
+    np.testing.assert_allclose(estimate, own, rtol=0, atol=1e-7)
+    assert np.abs(own - [0.5, 1.0, 3.0]).max() > 1.0
+    told = result.output[result.output.index("  [start]") :].split("  wrote")[0]
+    assert tomllib.loads(told)["start"] == found["start"]
 
 
 def test_profiles(folder):

@@ -238,14 +238,22 @@ def test_what_cannot_begin_leaves_no_store(tmp_path):
 
 
 def test_shards_fill_one_store(untouched, tmp_path):
+    """Each has what the store has then: the last one the whole study."""
     store = tmp_path / "s.zarr"
+    there = 0
     for i in (3, 1, 2):
         seen = []
         part = run(store, shard=(i, 3), progress=seen.append)
         own = sum(min(50, SIZE - 50 * k) for k in range(i - 1, BLOCKS, 3))
-        assert part.size == own == seen[-1].members == seen[-1].size
-        assert f"of shard {i}/3 only" in part.note
+        assert part.rates.members == own == seen[-1].members == seen[-1].size
+        there += own
+        assert part.size == there == int((part.values("code") >= 0).sum())
+        assert part.complete == (there == SIZE)
+        assert part.complete or "blocks are not computed yet" in part.note
     assert tree(store) == tree(untouched)
+    every = rk.read_study(untouched)
+    np.testing.assert_array_equal(part.mean["end"], every.mean["end"])
+    assert part.probability == every.probability
 
 
 def test_shards_at_once_fill_one_store(untouched, tmp_path):

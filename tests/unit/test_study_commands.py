@@ -125,9 +125,12 @@ def test_shards_fill_a_store(study, store, tmp_path):
     own = "--store", tmp_path / "shards.zarr"
     first = run("monte-carlo", study, *SIZE, *own, "--shard", "1/2")
     assert first.exit_code == 0, first.output
-    assert "of shard 1/2 only" in first.output
+    assert "1 of 3 blocks are not computed yet" in first.output
     assert run("show", own[1]).exit_code == 3
-    assert run("monte-carlo", study, *SIZE, *own, "--shard", "2/2").exit_code == 0
+    last = run("monte-carlo", study, *SIZE, *own, "--shard", "2/2")
+    assert last.exit_code == 0
+    assert "1,176 members" in first.output
+    assert "2,200 members" in last.output
     assert tree(own[1]) == tree(store)
 
 

@@ -7,9 +7,11 @@ import pytest
 
 import rollkane as rk
 from rollkane.dynamics.ready_observables import READY
-from rollkane.files.scene_files import SceneFileError, load_scene
+from rollkane.files.scene_files import SceneFileError, builtin_scenes, load_scene
 from rollkane.uncertainty.draws import flat
 from rollkane.uncertainty.study_file import load_study
+
+from ..quick import slow_but
 
 VARY = """
 [vary."start.angular_velocity[2]"]
@@ -240,3 +242,70 @@ def test_a_study_begins_at_its_own_first_time(tmp_path):
     t = jnp.asarray(0.3)
     assert READY["spin"](scene, t, start) == pytest.approx(2.5, rel=1e-13)
     assert isinstance(scene, rk.Scene)
+
+
+RING = """
+[body]
+mass = 1.0
+inertia = [[4e-3, 0.0, 0.0], [0.0, 5e-3, 0.0], [0.0, 0.0, 6e-3]]
+surface = { kind = "sphere", radius = 0.1 }
+[base]
+surface = { kind = "ring", radius = 0.5 }
+[[loads]]
+kind = "gravity"
+[start]
+orientation = [1.0, 0.0, 0.0, 0.0]
+contact_on_base = [0.5, 0.0, 0.0]
+base_normal = [0.6, 0.0, 0.8]
+angular_velocity = [0.0, 0.5, 0.3]
+[run]
+duration = 0.2
+"""
+SLIDES = """
+[body]
+mass = 1.0
+inertia = [[4e-3, 0.0, 0.0], [0.0, 4e-3, 0.0], [0.0, 0.0, 4e-3]]
+surface = { kind = "sphere", radius = 0.1 }
+[base]
+surface = { kind = "plane" }
+[[loads]]
+kind = "gravity"
+[modes]
+friction = 0.2
+[start]
+orientation = [1.0, 0.0, 0.0, 0.0]
+angular_velocity = [0.0, 0.0, 0.0]
+slip = [2.0, 0.0, 0.0]
+[run]
+duration = 0.2
+"""
+OWN = {"ring.toml": RING, "slides.toml": SLIDES}
+
+
+@pytest.mark.parametrize(
+    "name", slow_but([*OWN, "disc-in-hoop"], [*OWN, *builtin_scenes()])
+)
+def test_a_study_begins_where_its_scene_does(tmp_path, name):
+    """On an edge, which has many normals; with a slip; with bodies in the body."""
+    for file, tables in OWN.items():
+        (tmp_path / file).write_text(tables)
+    scene = load_scene(tmp_path / name if name in OWN else name)
+    begin = float(scene.times[0])
+    mass = float(scene.scene.body.mass)
+    text = f"""
+scene = "{name}"
+times = [{begin}, {begin + 0.2}]
+observe = ["position", "energy"]
+[vary."body.mass"]
+distribution = "uniform"
+low = {mass * (1.0 - 1e-13)!r}
+high = {mass * (1.0 + 1e-13)!r}
+"""
+    study = load_study(written(tmp_path, text)).study
+    found = rk.monte_carlo(study, 3, seed=1).mean
+    asked = jnp.array([begin, begin + 0.2])
+    run = rk.simulate(scene.scene, scene.start, asked, modes=scene.modes)
+    # two runs at the default tolerance of 1e-7, of lengths below a metre and of
+    # energies of some tens of joules
+    np.testing.assert_allclose(found["position"], run.position[-1], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found["energy"], run.energy[-1], rtol=1e-5, atol=1e-6)

@@ -60,7 +60,11 @@ def _several(
 @_several("--at", "NAME=X,Y,Z", "Where a sensor sits, body axes [m].")
 @click.option("--between", metavar="T0,T1", help="First and last time used [s].")
 @_several(
-    "--free", "PATH", "A number to find, as body.inertia or gyro.bias.", required=True
+    "--free",
+    "PATH",
+    "A number to find, as body.inertia or gyro.bias; start.angular_velocity is along "
+    "body axes.",
+    required=True,
 )
 @_several("--bounds", "PATH=LOW,HIGH", "Its bounds; either may be left empty.")
 @_several("--prior", "PATH=MEAN,SD", "What was known of it before.")
@@ -152,7 +156,7 @@ def fit(
     if not quiet:
         click.echo(file.title)
         click.echo(found.report())
-        for line in _told(found, ends):
+        for line in _told(found, ends) + _start_told(found):
             click.echo(line)
     _write(found, ends, targets, file.title, quiet)
     if not found.converged:
@@ -321,6 +325,23 @@ def _told(found: Any, ends: dict[str, Any]) -> list[str]:
     return lines
 
 
+def _start(found: Any) -> dict[str, Any]:
+    """The start with the estimates, as ``[start]`` of a scene file has it."""
+    from ..files.scene_files.start_reading import start_table
+
+    return start_table(found.scene, found.record.start_time, found.start)
+
+
+def _start_told(found: Any) -> list[str]:
+    """It in TOML, where it was looked for: in a scene file axes are others."""
+    own = [path for path in found.estimates if path.startswith("start.")]
+    if not own:
+        return []
+    lines = ["", "  of a scene file, along fixed axes (start.* above: body axes):"]
+    lines.append("  [start]")
+    return lines + [f"  {name} = {x.tolist()}" for name, x in _start(found).items()]
+
+
 def _write(
     found: Any, ends: dict[str, Any], targets: dict[str, Path], title: str, quiet: bool
 ) -> None:
@@ -351,6 +372,7 @@ def _json(found: Any, ends: dict[str, Any]) -> dict[str, Any]:
         "converged": found.converged,
         "rollouts": found.rollouts,
         "unseen": found.unseen,
+        "start": _start(found),
     }
     if ends:
         known["intervals"] = ends

@@ -3,6 +3,7 @@
 Everything heavy is imported inside the functions, as in the other commands.
 """
 
+import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -246,27 +247,9 @@ def _start_json(scene: Any, state: Any) -> dict[str, Any]:
     import jax.numpy as jnp
     import numpy as np
 
-    from ..dynamics.abstract_supported import rolling_parts
-    from ..dynamics.rolling import contact_of
-    from ..geometry.rotations import quaternion_of
-    from ..geometry.small_linear import matvec
+    from ..files.scene_files.start_reading import start_table
 
-    def found(state: Any) -> dict[str, Any]:
-        contact = contact_of(scene, jnp.zeros(()), state)
-        turn = contact.rotation
-        start = {
-            "orientation": quaternion_of(turn),
-            "angular_velocity": matvec(turn, contact.angular_velocity),
-            "contact_on_base": contact.base_point,
-        }
-        if scene.base.surface.is_edge:
-            start["base_normal"] = -matvec(contact.to_base, contact.normal)
-        if scene.has_contact_coordinates:
-            start["near_on_body"] = contact.body_point
-        if scene.coordinate_count and not rolling_parts(scene.supported):
-            start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
-        return start
-
+    found = functools.partial(start_table, scene, jnp.zeros(()))
     start = cast("dict[str, Any]", jax.jit(found)(state))
     return {name: np.asarray(x).tolist() for name, x in start.items()}
 

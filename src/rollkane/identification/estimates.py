@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, Self
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -84,7 +85,12 @@ class Estimates:
             minima=_minima(searches),
             scene=models[0].scene,
             start=every([consistent(m.scene, m.time, m.start) for m in models]),
-            record=every(problem.records),
+            record=every(
+                [
+                    eqx.tree_at(lambda r: r.channels, record, m.channels)
+                    for record, m in zip(problem.records, models, strict=True)
+                ]
+            ),
             loss=loss,
             problem=problem,
             search=best,

@@ -20,6 +20,7 @@ from .parameters import Free, Model, Tied
 from .records import Record
 from .residuals import Group, Residuals, grouped, linearized, within
 from .transforms import AbstractTransform
+from .uncertainty import coordinate_covariance
 
 # Least noise of a channel without sigma, before a fit has seen its misfits [its size].
 _LEAST_NOISE = 1e-3
@@ -88,22 +89,23 @@ class Problem:
     def with_noise_of(self, z: np.ndarray) -> bool:
         """Take the deviations of channels without sigma from the misfits at z.
 
-        What the coordinates took out of the misfits is put back, evenly.
+        What the coordinates took out of a column's misfits is put back: the sum of its
+        squares is expected to be ``sum(1 - h)``, with h the diagonal of
+        ``J (J^T J)^-1 J^T``, priors in J. A column of which they took all but half a
+        sample tells nothing of its noise, and keeps its deviation.
 
         Returns:
             Whether any of them changed by more than a hundredth.
         """
         changed = False
-        samples = self.samples()
-        taken = samples / max(samples - self.layout.size, 1)
+        taken = self._taken(z)
         for record, per_channel in enumerate(self.channel_misfits(z)):
             for name, misfit in per_channel.items():
                 if name in self.deviations[record]:
                     old = self.deviations[record][name]
-                    sampled = np.isfinite(misfit)
-                    counts = np.maximum(sampled.sum(axis=0), 1)
-                    mean = np.sum(np.where(sampled, misfit, 0.0) ** 2, axis=0) / counts
-                    new = old * np.sqrt(taken * mean)
+                    left = np.sum(np.isfinite(misfit) - taken[record][name], axis=0)
+                    share = np.nansum(misfit**2, axis=0) / np.maximum(left, 0.5)
+                    new = np.where(left > 0.5, old * np.sqrt(share), old)
                     # a record without noise: not below the runs' own accuracy, 1e-9
                     new = np.maximum(
                         new, 1e-9 * _size(self.records[record].channels[name].values)
@@ -113,6 +115,19 @@ class Problem:
         if changed:
             self._group()
         return changed
+
+    def _taken(self, z: np.ndarray) -> list[dict[str, np.ndarray]]:
+        """How much of each misfit coordinates take out, by record and channel."""
+        at = self.evaluate(z)
+        known = coordinate_covariance(at, self.layout, z)
+        rows = at.jacobian[: at.of_samples.size]
+        shares = np.einsum("ik,kl,il->i", rows, known, rows)
+        sizes = [self._row_times(k).size for k in range(len(self.records))]
+        parts = np.split(shares, np.cumsum(sizes)[:-1])
+        return [
+            _split(part, groups)
+            for part, groups in zip(parts, self.groups, strict=True)
+        ]
 
     @property
     def span(self) -> float:

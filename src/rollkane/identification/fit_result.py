@@ -45,7 +45,8 @@ class Fit(Estimates):
         scene: The model with the estimates.
         start: The start with them, without what its contact does not allow, as the
             motion has it; of several records, a list.
-        record: The record or records with estimated channels.
+        record: The record or records, with the estimates in their channels (``sigma``
+            as it was given).
         loss: Of the misfits.
         problem: The least-squares problem, for more of it.
         search: How it was solved.

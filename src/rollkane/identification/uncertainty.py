@@ -1,9 +1,10 @@
 """How well parameters are known: covariances from J^T J, and what is not seen."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jax.scipy.special import gammainc
+from scipy import linalg  # pyright: ignore[reportMissingTypeStubs]
 
 from .layout import Layout
 from .least_squares import LOSSES, Evaluation, Loss, score_moments
@@ -34,7 +35,8 @@ class Spectrum(NamedTuple):
     @property
     def seen(self) -> np.ndarray:
         """Which directions change the prediction, shape (P,)."""
-        return self.values > max(UNSEEN * self.values[0], self.rounding)
+        largest = self.values.max(initial=0.0)
+        return self.values > max(UNSEEN * largest, self.rounding)
 
     @property
     def condition(self) -> float:
@@ -45,18 +47,32 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(
-    jacobian: np.ndarray, scale: np.ndarray, rounding: float = 0.0
+    at: Evaluation, layout: Layout, inside: np.ndarray | slice = slice(None)
 ) -> Spectrum:
-    """Singular values of ``jacobian * scale``; where it is not finite, all are zero."""
-    columns = jacobian * scale
+    """Singular values of the Jacobian by coordinates relative to their scale.
+
+    What samples say of a direction is known to a share of all that they say; what a
+    prior says, exactly. So the row of a prior counts as no longer than the samples'
+    largest singular value: one number that is known well hides no other. All are zero
+    where the Jacobian is not finite.
+
+    Args:
+        at: Misfits and their derivatives.
+        layout: Of the coordinates.
+        inside: Which coordinates are looked at.
+    """
+    scale = layout.scale[inside]
+    columns = at.jacobian[:, inside] * scale
     if not np.isfinite(columns).all():
-        nothing = np.zeros(scale.size)
-        return Spectrum(nothing, np.eye(scale.size), scale, rounding)
-    if columns.shape[0] < columns.shape[1]:
-        missing = columns.shape[1] - columns.shape[0]
-        columns = np.concatenate([columns, np.zeros((missing, columns.shape[1]))])
-    _, values, directions = np.linalg.svd(columns, full_matrices=False)
-    return Spectrum(values, directions, scale, rounding)
+        return Spectrum(np.zeros(scale.size), np.eye(scale.size), scale, at.rounding)
+    samples, priors = np.split(columns, [at.of_samples.size])
+    largest = np.linalg.svd(samples, compute_uv=False).max(initial=0.0)
+    most = max(float(largest), at.rounding / UNSEEN) or np.inf
+    longer = np.maximum(np.linalg.norm(priors, axis=1, keepdims=True) / most, 1.0)
+    missing = np.zeros((max(scale.size - len(columns), 0), scale.size))
+    rows = np.concatenate([samples, priors / longer, missing])
+    _, values, directions = np.linalg.svd(rows, full_matrices=False)
+    return Spectrum(values, directions, scale, at.rounding)
 
 
 def coordinate_covariance(
@@ -84,17 +100,41 @@ def coordinate_covariance(
         slope, square = score_moments(at.of_samples, loss)
     inside = ~(active(at, layout, z, loss) & bounded)
     found = np.zeros((z.size, z.size))
-    # A over s: rows of samples as they are
-    rows = at.by_kind(1.0, slope**-0.5)[:, None] * at.jacobian
-    if inside.any():
-        parts = spectrum(rows[:, inside], layout.scale[inside], at.rounding)
-        inverse = np.where(parts.seen, 1.0 / np.maximum(parts.values, 1e-300), 0.0)
-        root = parts.scale[:, None] * parts.directions.T * inverse
-        found[np.ix_(inside, inside)] = root @ root.T
-    if loss is _SQUARES:
+    parts = spectrum(at, layout, inside)
+    if not parts.seen.any():
         return found
-    varies = at.by_kind(square / slope**2, 1.0 / slope)[:, None] * rows
-    return found @ (rows.T @ varies) @ found
+    # A over s: rows of samples as they are
+    rows = at.by_kind(1.0, slope**-0.5)[:, None] * at.jacobian[:, inside]
+    varies = at.by_kind(square / slope**2, 1.0 / slope)
+    root, along = _root_of_inverse(rows, parts)
+    middle = along.T @ (varies[:, None] * along)
+    found[np.ix_(inside, inside)] = root @ middle @ root.T
+    return found
+
+
+def _root_of_inverse(
+    rows: np.ndarray, parts: Spectrum
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and Q with ``R R^T = (rows^T rows)^-1`` of what is seen, and ``Q = rows R``.
+
+    A firm prior's row may be 1e10 times as long as the others. Householder reflections
+    of rows that are sorted by length, with pivoting, change each by roundings of its
+    own length (Cox and Higham, 1998), singular values by roundings of the longest.
+    """
+    some = parts.directions[parts.seen].T
+    seen = np.eye(parts.scale.size) if parts.seen.all() else some
+    basis = parts.scale[:, None] * seen
+    columns = rows @ basis
+    lengths = np.linalg.norm(columns, axis=1)
+    order = np.argsort(-lengths)
+    numeric = cast(Any, linalg)
+    sorted_along, upper, places = numeric.qr(
+        columns[order], mode="economic", pivoting=True
+    )
+    root = numeric.solve_triangular(upper, basis[:, places].T, trans="T").T
+    along = np.empty_like(sorted_along)
+    along[order] = sorted_along
+    return root, along
 
 
 def active(
@@ -109,7 +149,7 @@ def active(
 
 def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
     """Directions in coordinates that change nothing, rows, shape (D, P)."""
-    parts = spectrum(at.jacobian, layout.scale, at.rounding)
+    parts = spectrum(at, layout)
     return parts.directions[~parts.seen] * parts.scale
 
 

@@ -13,7 +13,7 @@ from .executors import Blocks, Members
 from .fingerprint import fingerprint
 from .member_statistics import MemberStatistics, statistics_of
 from .precision import Precision
-from .result import MonteCarlo, Rates
+from .result import MonteCarlo, Rates, read_study
 from .sampling import KINDS
 from .store import Store, StoreError, create, differences
 from .study import Study
@@ -82,7 +82,8 @@ def monte_carlo(
         block: Members of a block: a chunk of the store, what a killed process loses.
             By default a 64th of the study, 1024 to 65536.
         shard: ``(i, n)``, i from 1 to n: only every n-th block, into one store that n
-            processes share; none of them waits for another.
+            processes share; none of them waits for another. The result is of what the
+            store has then: the last one to end has all.
         stop: Precision that is enough; looked at after 1024 members and each doubling.
         keep: Without a store: whether members are kept, or statistics alone.
         progress: Called after each block.
@@ -157,12 +158,15 @@ class _Work:
         return self._result(reached)
 
     def _shard(self, shard: Shard, count: int) -> MonteCarlo:
-        """The blocks of one shard."""
+        """The blocks of one shard; then what the store has, of others, too."""
         numbers = _blocks_of(shard, count)
         spans = [self._span(k) for k in numbers]
         self._expected = sum(last - first for first, last in spans)
         self._fold(numbers)
-        return self._result(None, f"of shard {shard[0]}/{shard[1]} only")
+        assert self._store is not None
+        found = read_study(self._store.path)
+        found.rates = self._rates
+        return found
 
     def _span(self, k: int) -> tuple[int, int]:
         return k * self._block, min((k + 1) * self._block, self._size)
@@ -205,19 +209,22 @@ class _Work:
             rate = self._computed / passed
             self._progress(Done(*self._said, self._expected, rate))
 
-    def _result(self, reached: int | None, note: str | None = None) -> MonteCarlo:
-        runs, about = self._blocks.runs, self._about
-        store, seconds = self._store, time.monotonic() - self._began
-        notes = [note] if reached is not None else [note, self._sampler.note]
+    def _result(self, reached: int | None) -> MonteCarlo:
+        columns, about, store = self._blocks.runs.columns, self._about, self._store
         if reached is not None and reached < self._size and store is not None:
             store.end_at(reached)
         return MonteCarlo(
-            *(self._statistics, runs.columns, self._members.study.times, about),
+            *(self._statistics, columns, self._members.study.times, about),
             store=store,
             kept=self._kept,
-            rates=Rates(self._computed, seconds, runs.method, runs.why),
-            note="; ".join(filter(None, notes)) or None,
+            rates=self._rates,
+            note=self._sampler.note if reached is None else None,
         )
+
+    @property
+    def _rates(self) -> Rates:
+        runs, seconds = self._blocks.runs, time.monotonic() - self._began
+        return Rates(self._computed, seconds, runs.method, runs.why)
 
 
 def _stages(count: int, block: int, doubling: bool) -> Iterator[int]:

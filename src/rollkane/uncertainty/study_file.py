@@ -13,12 +13,11 @@ from ..dynamics.clearance import may_touch_twice
 from ..dynamics.placement import place
 from ..dynamics.ready_observables import READY
 from ..dynamics.rolling import contact_of
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, Slipping, under
 from ..files.scene_files.event_building import events_of
 from ..files.scene_files.loading import SceneFile, load_scene, read_tables
 from ..files.scene_files.problems import Report, SceneFileError, suggestion
-from ..geometry.rotations import quaternion_of
-from ..geometry.small_linear import matvec
+from ..files.scene_files.start_reading import start_table
 from ..hybrid.modes import Modes
 from ..identification import paths
 from ..validation.checks import FieldError
@@ -246,11 +245,13 @@ class _Model(eqx.Module):
     Attributes:
         scene: What rolls on what.
         start: Arguments of ``place``, by name.
+        rolling: Starts of bodies that roll on the body.
         modes: Of its contact, or None.
     """
 
     scene: Scene
     start: dict[str, Any]
+    rolling: Any
     modes: Modes | None
 
     @staticmethod
@@ -258,25 +259,18 @@ class _Model(eqx.Module):
         """Of a scene file, whose start is read back."""
         scene, state = file.scene, file.start
         time = jnp.asarray(file.times[0], state.angular_velocity.dtype)
-        contact = contact_of(scene, time, state)
-        start: dict[str, Any] = {
-            "orientation": quaternion_of(contact.rotation),
-            "angular_velocity": matvec(contact.rotation, contact.angular_velocity),
-            "contact_on_base": contact.base_point,
-            "alpha": state.alpha,
-            "alpha_dot": state.alpha_dot,
-        }
-        if contact.slip is not None:
-            start["slip"] = matvec(contact.rotation, contact.slip)
-        return _Model(scene, start, file.modes)
+        start = start_table(scene, time, state)
+        start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
+        start.pop("near_on_body", None)  # which moves with the others
+        return _Model(scene, start, state.supported, file.modes)
 
     def placed(self, near: Any, time: Any) -> Any:
         """The start, where the body touches next to where it did [m, body axes]."""
-        start = dict(self.start)
-        known = {"near_on_body": near} if self.scene.has_contact_coordinates else {}
-        slip = start.pop("slip", None)
-        sliding = {"slip": slip} if self.scene.contact.slips else {}
-        return place(self.scene, **start, **known, **sliding, time=time)
+        scene, start = self.scene, dict(self.start)
+        if "slip" in start and not scene.contact.slips:
+            scene = under(scene, Slipping())  # until it grips
+        known = {"near_on_body": near} if scene.has_contact_coordinates else {}
+        return place(scene, **start, **known, supported=self.rolling, time=time)
 
 
 def _other_paths(file: SceneFile) -> list[str]:
