@@ -68,6 +68,9 @@ def test_a_family_from_a_normal_mode_to_large_amplitude(swing):
     found = rk.periodic_family(BOWL, swing, "energy", (-1.1 * most, 0.98 * most))
     # from near the rest, where the way ends, to 169 degrees (rolling is bilateral)
     assert found.ends == ("steady motion", "span")
+    number, ends = str(found).splitlines()
+    assert number.startswith(f"{len(found.points)} periodic motions, energy from ")
+    assert ends == "  begins: steady motion; ends: span"
     energies = found.along("energy")
     assert energies[-1] == pytest.approx(0.98 * most, rel=1e-12)
     assert energies[0] < -0.999 * most

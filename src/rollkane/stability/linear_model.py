@@ -79,10 +79,12 @@ def linearize(
         scene: What rolls on what; or a ``rollkane.kane.KaneSystem``.
         state: A state, in axes that the base carries along; or a ``SteadyMotion``, in
             the frame that moves with it.
-        inputs: Names of r: "base acceleration x" [m/s^2], "force y" at the mass centre
-            [N], "torque z" [N m], all on fixed axes; "force alpha[0]", of a motor on a
-            coordinate of what is carried [J per its unit]; or a number of the scene by
-            its path, such as a spring's force ("supported[0].parameters.k").
+        inputs: Names of r: "base acceleration x" [m/s^2] (a field against it in the
+            base's frame, whose potential an output "energy" has), "force y" at the mass
+            centre [N], "torque z" [N m], all on fixed axes; "force alpha[0]", of a
+            motor on a coordinate of what is carried [J per its unit]; or a number of
+            the scene by its path, such as a spring's force
+            ("supported[0].parameters.k").
         outputs: Names of y, as of what ``steady_motion`` holds; coordinates of the
             model by their names; ``{"name": function}`` of ``function(scene, t,
             state)``.

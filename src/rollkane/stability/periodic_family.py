@@ -108,6 +108,20 @@ class PeriodicFamily:
 
         return plot_periodic_family(self, path, title)
 
+    def __str__(self) -> str:
+        """How many motions, and where their stability changes."""
+        low, high = self.values.min(), self.values.max()
+        rows = [
+            f"{len(self.points)} periodic motions, {self.vary} from {low:.9g} to "
+            f"{high:.9g}, {int(np.sum(self.stable))} of them stable",
+            f"  begins: {self.ends[0]}; ends: {self.ends[1]}",
+        ]
+        rows += [
+            f"  {c.kind:<16}{self.vary} = {c.value:.12g}, multiplier {c.multiplier:.6g}"
+            for c in self.critical
+        ]
+        return "\n".join(rows)
+
 
 class _Course(NamedTuple):
     """How a family is followed."""
