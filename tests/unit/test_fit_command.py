@@ -178,6 +178,28 @@ def test_a_start_for_the_scene_file(folder):
     assert tomllib.loads(told)["start"] == found["start"]
 
 
+def test_times_in_another_unit_are_told_of(folder, rates, monkeypatch):
+    """Before the search, which would run for minutes."""
+
+    def found(*_, **__):
+        raise rk.FieldError("fit.start", "...", "was not asked for", "go on")
+
+    monkeypatch.setattr(fitting, "fit", found)
+    times, values = rates
+    long = "lasts 500 s, and SCENE runs for 20 s"
+    milliseconds = 1e3 * times
+    for shown, options, told in (
+        (milliseconds, (), True),
+        (milliseconds, ("--units", "time=ms"), False),
+        (times, (), False),
+    ):
+        (folder / "run.csv").write_text(table(shown, values))
+        result = fit_with(*COLUMNS, *FREE, *options)
+        assert "was not asked for" in result.output
+        assert (long in result.output) == told
+        assert ("--units time=ms" in result.output) == told
+
+
 def test_profiles(folder):
     free = ("--free", "start.angular_velocity", "--profile", "--json", "a.json")
     result = fit_with(*COLUMNS, *free)

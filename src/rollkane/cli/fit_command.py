@@ -32,6 +32,9 @@ LOSSES = ("linear", "huber", "soft_l1", "cauchy")
 FORMS = ("full", "diagonal", "scale", "ratios", "diagonal ratios")
 _NAMED = ("sigma", "units", "at", "bounds", "prior", "form")
 _LEVEL = 0.95  # probability of profile intervals
+# Of the scene's own duration: a longer record may be one in milliseconds, whose
+# runs, a thousand times as long, take minutes.
+_LONG = 10.0
 
 
 def _channel_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -221,6 +224,7 @@ def _found(
             name: [c.strip() for c in text.split(",")] for name, text in columns.items()
         },
     )
+    _hint_of_times(float(record.time[-1] - record.time[0]), file.times)
     return find(
         file.scene,
         file.start,
@@ -237,6 +241,17 @@ def _found(
         method=file.method,
         progress=progress,
     )
+
+
+def _hint_of_times(lasts: float, times: Any) -> None:
+    """Warn of a record that lasts as if its times had another unit."""
+    own = float(times[-1] - times[0])
+    if lasts > _LONG * own:
+        warnings.warn(
+            f"DATA lasts {lasts:.6g} s, and SCENE runs for {own:.6g} s: if its times "
+            "are milliseconds, give --units time=ms",
+            stacklevel=2,
+        )
 
 
 def _each(option: str, text: str) -> Any:

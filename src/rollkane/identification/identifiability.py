@@ -114,7 +114,7 @@ def identifiability(
     z = layout.start
     at = problem.evaluate(z)
     check_usable(at)
-    parts = uncertainty.spectrum(at, layout)
+    parts = uncertainty.spectrum(at, layout.scale)
     unseen = uncertainty.unseen_directions(at, layout)
     weak = parts.seen & (parts.values < 1.0 / _POORLY)
     return Identifiability(

@@ -47,7 +47,7 @@ class Spectrum(NamedTuple):
 
 
 def spectrum(
-    at: Evaluation, layout: Layout, inside: np.ndarray | slice = slice(None)
+    at: Evaluation, scale: np.ndarray, inside: np.ndarray | slice = slice(None)
 ) -> Spectrum:
     """Singular values of the Jacobian by coordinates relative to their scale.
 
@@ -58,10 +58,10 @@ def spectrum(
 
     Args:
         at: Misfits and their derivatives.
-        layout: Of the coordinates.
+        scale: Of the coordinates, shape (P,).
         inside: Which coordinates are looked at.
     """
-    scale = layout.scale[inside]
+    scale = scale[inside]
     columns = at.jacobian[:, inside] * scale
     if not np.isfinite(columns).all():
         return Spectrum(np.zeros(scale.size), np.eye(scale.size), scale, at.rounding)
@@ -100,7 +100,7 @@ def coordinate_covariance(
         slope, square = score_moments(at.of_samples, loss)
     inside = ~(active(at, layout, z, loss) & bounded)
     found = np.zeros((z.size, z.size))
-    parts = spectrum(at, layout, inside)
+    parts = spectrum(at, layout.scale, inside)
     if not parts.seen.any():
         return found
     # A over s: rows of samples as they are
@@ -149,7 +149,7 @@ def active(
 
 def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
     """Directions in coordinates that change nothing, rows, shape (D, P)."""
-    parts = spectrum(at, layout)
+    parts = spectrum(at, layout.scale)
     return parts.directions[~parts.seen] * parts.scale
 
 
