@@ -32,8 +32,8 @@ LOSSES = ("linear", "huber", "soft_l1", "cauchy")
 FORMS = ("full", "diagonal", "scale", "ratios", "diagonal ratios")
 _NAMED = ("sigma", "units", "at", "bounds", "prior", "form")
 _LEVEL = 0.95  # probability of profile intervals
-# Of the scene's own duration: a longer record may be one in milliseconds, whose
-# runs, a thousand times as long, take minutes.
+# Of the scene's own duration: a longer record may be one of a hundredth of it or more,
+# in milliseconds, whose runs, a thousand times as long, take minutes.
 _LONG = 10.0
 
 
@@ -352,7 +352,7 @@ def _start_told(found: Any) -> list[str]:
     own = [path for path in found.estimates if path.startswith("start.")]
     if not own:
         return []
-    lines = ["", "  of a scene file, along fixed axes (start.* above: body axes):"]
+    lines = ["", "  for a scene file, whose angular velocity is along fixed axes:"]
     lines.append("  [start]")
     return lines + [f"  {name} = {x.tolist()}" for name, x in _start(found).items()]
 

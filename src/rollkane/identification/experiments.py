@@ -24,6 +24,9 @@ from .uncertainty import coordinate_covariance
 
 # Least noise of a channel without sigma, before a fit has seen its misfits [its size].
 _LEAST_NOISE = 1e-3
+# Samples of a column that coordinates leave, at least, to tell its noise by: of so few
+# the variance has a deviation of twice itself (the root of 2 over them).
+_LEAST_LEFT = 0.5
 LONGER = 8.0  # times the horizon that is asked for: how far a run looks ahead
 _KEPT = 4  # points whose misfits are kept
 # Of a derivative, relative to the size of what is differentiated: sums of 1e4 steps
@@ -91,8 +94,8 @@ class Problem:
 
         What the coordinates took out of a column's misfits is put back: the sum of its
         squares is expected to be ``sum(1 - h)``, with h the diagonal of
-        ``J (J^T J)^-1 J^T``, priors in J. A column of which they took all but half a
-        sample tells nothing of its noise, and keeps its deviation.
+        ``J (J^T J)^-1 J^T``, priors in J. A column of which too little is left keeps
+        its deviation.
 
         Returns:
             Whether any of them changed by more than a hundredth.
@@ -104,8 +107,8 @@ class Problem:
                 if name in self.deviations[record]:
                     old = self.deviations[record][name]
                     left = np.sum(np.isfinite(misfit) - taken[record][name], axis=0)
-                    share = np.nansum(misfit**2, axis=0) / np.maximum(left, 0.5)
-                    new = np.where(left > 0.5, old * np.sqrt(share), old)
+                    share = np.nansum(misfit**2, axis=0) / np.maximum(left, _LEAST_LEFT)
+                    new = np.where(left > _LEAST_LEFT, old * np.sqrt(share), old)
                     # a record without noise: not below the runs' own accuracy, 1e-9
                     new = np.maximum(
                         new, 1e-9 * _size(self.records[record].channels[name].values)

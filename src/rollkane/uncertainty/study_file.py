@@ -260,6 +260,7 @@ class _Model(eqx.Module):
         scene, state = file.scene, file.start
         time = jnp.asarray(file.times[0], state.angular_velocity.dtype)
         start = start_table(scene, time, state)
+        # also those that a scene file has in [[supported]]
         start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
         start.pop("near_on_body", None)  # which moves with the others
         return _Model(scene, start, state.supported, file.modes)
