@@ -36,7 +36,7 @@ class Doubt(NamedTuple):
     Attributes:
         hides: Whether.
         share: Of the step, where the bound is lowest [1].
-        next: Of the step, the most that the next one is worth trying [1].
+        next: The longest next step that is worth trying [s].
     """
 
     hides: Bool[Array, ""]

@@ -85,7 +85,7 @@ def doubt_in_flight(
     least = _LEAST_WAY * reach
     limit = jnp.maximum(share * jnp.sum(gaps), least) / (fastest * h)
     shorter = jnp.where(doubt.hides, jnp.minimum(doubt.share, limit), limit)
-    following = jnp.maximum(gaps[1], least) / (fastest * h)
+    following = jnp.maximum(gaps[1], least) / fastest
     return Doubt(doubt.hides | (limit < 0.99), shorter, following)
 
 

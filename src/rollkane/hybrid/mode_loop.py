@@ -91,7 +91,7 @@ class Loop(Trials):
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
         code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
-        values = self.values_after(c, end.values, event, after)
+        values = self.values_after(c, end.values, event, after, verdict.blinks)
         path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:
             reached = jnp.where(output > 0, path.reached, c.path.reached)
@@ -179,17 +179,24 @@ class Loop(Trials):
         )
 
     def values_after(
-        self, c: Run, values: Float[Array, "2"], event: Bool[Array, ""], after: Place
+        self,
+        c: Run,
+        values: Float[Array, "2"],
+        event: Bool[Array, ""],
+        after: Place,
+        blinks: Bool[Array, ""],
     ) -> Array:
         """The events' values where the next step begins: of a slip, along its own way.
 
-        They stay unknown through an output right behind a change.
+        They stay unknown through an output right behind a change, and while what opens
+        is rounding.
         """
         slip = dot(after.y.slip, after.direction)
         slides = (after.mode == Mode.SLIPPING) & (slip > 0.0)
         slides &= ~begins(after.direction) & self.motion.friction_ends_slips
         values = jnp.where(slides, values.at[0].set(slip), values)
-        behind = jnp.isnan(c.values[0]) & ~jnp.all(values >= 0.0)
+        known = jnp.all(values >= -self.least_value(c)) & ~blinks
+        behind = jnp.isnan(c.values[0]) & ~known
         return jnp.where(event | behind, jnp.nan, values)
 
     def lifts_into_its_base(self, c: Run, tried: Tried) -> Array | bool:

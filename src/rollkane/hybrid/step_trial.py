@@ -96,6 +96,7 @@ class Verdict(NamedTuple):
     step: Array
     cuts: Array
     stuck: Array
+    blinks: Array  # to an output so near that nothing can have happened since
 
 
 class Trials(eqx.Module):
@@ -224,13 +225,15 @@ class Trials(eqx.Module):
         size, taken = tried.size, tried.t - c.place.t
         # a few numbers of the clock: no shorter step can be made
         tiny = 4.0 * np.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
-        share = tried.end.values / _scale(c.values)
+        share = self.shares(c, tried.end.values)
         least = jnp.min(share)
         stands = self.stands(c.place, tried) & self.follows(c.place, tried.end)
         size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
-        # an output right behind an event: too close for anything to happen between
-        brief, looks = taken <= tiny, c.looks
+        # an output right behind an event: too close for anything to happen between,
+        # and for as long as values that begin at zero are rounding, for any to be seen
+        fresh, looks = jnp.isnan(c.values[0]), c.looks
+        brief = taken <= jnp.where(fresh, _STAYS * (1.0 + jnp.abs(c.place.t)), tiny)
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
         kind = self.first_of(c, tried.end.values, share)
         ends = jnp.asarray(False)
@@ -242,7 +245,7 @@ class Trials(eqx.Module):
         negative = ((~(least >= self.least_value(c)) & ~blinks) | falls) & ~looks
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
-        behind = jnp.isnan(c.values[0]) & negative & known
+        behind = fresh & negative & known
         at_once = behind & (size <= 1.0) & (falls | (0.2 * taken <= tiny))
         early = behind & ~at_once
         hides = tried.doubt.hides & known & ~brief & ~looks
@@ -263,12 +266,13 @@ class Trials(eqx.Module):
         event = (found & ~turned) | at_once | (good & ends)
         accept = (good & ~negative & ~c.searching) | event | turned
         step = self.next_step(c, tried, size, early | ~known)
-        step = jnp.minimum(step, tried.doubt.next * taken)
+        step = jnp.minimum(step, tried.doubt.next)
         step = jnp.where(c.searching | begins, c.step, step)
         # what hides in a step is looked for in a shorter one
         cut = jnp.clip(tried.doubt.share, 0.1, 0.9) * taken
         step = jnp.where(hides, cut, step)
-        step = jnp.where(at_once, 1e6 * tiny, step)
+        # behind a change shorter ones would see rounding, and take it for another
+        step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
         step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
         settles = self.while_it_turns(c.place, tried.end)
         settles = jnp.minimum(settles, self.before_its_end(c, tried))
@@ -277,8 +281,19 @@ class Trials(eqx.Module):
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
         return Verdict(
-            accept, event, turned, kind, searching, bracket, step, cuts, stuck
+            accept, event, turned, kind, searching, bracket, step, cuts, stuck, blinks
         )
+
+    def shares(self, c: Run, values: Float[Array, "2"]) -> Array:
+        """The events' values over what they were.
+
+        A slip that begins has the direction of its friction, which is rounding where
+        the contact ends: that it ends there is not said of it.
+        """
+        share = values / _scale(c.values)
+        blind = (c.place.mode == Mode.SLIPPING) & begins(c.place.direction)
+        blind &= jnp.abs(share[1]) <= _TOGETHER
+        return share.at[0].set(jnp.where(blind, 1.0, share[0]))
 
     def first_of(
         self, c: Run, values: Float[Array, "2"], share: Float[Array, "2"]
