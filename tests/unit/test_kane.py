@@ -183,6 +183,18 @@ REFUSED = {
         lambda: kane.linearize(in_plane(), 0.0, at_rest(in_plane()), inputs=len),
         "linearize.inputs: has no parameters",
     ),
+    "inputs that are computed": (
+        lambda: kane.linearize(
+            pendulum(0.7, 0.3), 0.0, state(0.4, 0.9), inputs=lambda p: 2 * p["torque"]
+        ),
+        "linearize.inputs: does not return entries.*return whole ones",
+    ),
+    "inputs that are not there": (
+        lambda: kane.linearize(
+            pendulum(0.7, 0.3), 0.0, state(0.4, 0.9), inputs=lambda p: p["none"]
+        ),
+        r"linearize.inputs: does not return entries.*\(KeyError\)",
+    ),
     "another choice of speeds": (
         lambda: kane.rolling_disc(1.0, 1.0, (0.25, 0.5), "euler"),
         "rolling_disc.speeds: is no choice of speeds.*lean axes",
@@ -230,6 +242,8 @@ def test_linearization_equals_differences():
     np.testing.assert_allclose(
         found.f, [0.9, (-G * 0.7 * np.sin(0.4) + 0.3) / 0.49], rtol=1e-13
     )
+    named = kane.linearize(system, 0.0, at, inputs=lambda p: {"by": p["torque"]})
+    np.testing.assert_array_equal(named.B, found.B)
     in_jit = jax.jit(lambda x: kane.linearize(system, 0.0, x).A)
     np.testing.assert_allclose(in_jit(at), found.A, atol=1e-13)
 

@@ -59,11 +59,12 @@ def linearize(
         q_ind: Numbers of the coordinates whose rows and columns are wanted; left out,
             all independent ones. The others are held.
         u_ind: Numbers of the speeds, likewise.
-        inputs: ``inputs(parameters)`` -> those that are inputs r, a tree of numbers;
-            left out, none.
+        inputs: ``inputs(parameters)`` -> those that are inputs r, a tree of whole
+            entries of the parameters (``lambda p: (p["k"], p["F"])``); left out, none.
 
     Raises:
-        FieldError: dependent ones among the chosen, or inputs without parameters; what
+        FieldError: dependent ones among the chosen, or inputs without parameters or
+            that are none of them; what
             ``simulate`` refuses of a start; dependent coordinates that the
             configuration does not determine; constraints by multipliers. Nothing is
             said of traced numbers.
@@ -92,10 +93,36 @@ def linearize(
             "has no parameters to choose from",
             "give KaneSystem(parameters=...) and let the loads depend on them",
         )
+    if inputs is not None:
+        _refuse_others(system, inputs)
     found, seen = _linearized(system, t, state, free, moving, inputs, known)
     if seen is not None:
         refuse(system, t, state, seen, eliminated=True)
     return found
+
+
+def _entries(
+    inputs: Callable[[Any], Any] | None,
+) -> Callable[[KaneSystem], list[Any]]:
+    """Where the inputs stand in a system."""
+    if inputs is None:
+        return lambda system: []
+    return lambda system: jax.tree.leaves(inputs(system.parameters))
+
+
+def _refuse_others(system: KaneSystem, inputs: Callable[[Any], Any]) -> None:
+    """Refuse inputs that are no entries of the parameters: they cannot be varied."""
+    try:
+        eqx.tree_at(_entries(inputs), system, replace_fn=lambda entry: entry)
+    except Exception as error:
+        raise FieldError(
+            "linearize.inputs",
+            inputs,
+            "does not return entries of the parameters as they are "
+            f"({type(error).__name__})",
+            "return whole ones, such as p['k'] or (p['k'], p['F']), no component of an "
+            "array and nothing that is computed from them",
+        ) from error
 
 
 @for_one_call
@@ -112,9 +139,7 @@ def _linearized(
     columns = np.asarray(free, int)
     places = np.asarray([system.independent.index(k) for k in moving], int)
 
-    def where(system: KaneSystem) -> Any:
-        return () if inputs is None else inputs(system.parameters)
-
+    where = _entries(inputs)
     r, unravel = ravel_pytree(where(system))
     r = r.astype(state.q.dtype)  # of nothing: single precision
     x = jnp.zeros(n + places.shape[0], r.dtype)

@@ -78,10 +78,12 @@ def linearize(
     Args:
         scene: What rolls on what; or a ``rollkane.kane.KaneSystem``.
         state: A state, in axes that the base carries along; or a ``SteadyMotion``, in
-            the frame that moves with it.
+            the frame that moves with it. Vectors among inputs and outputs are on the
+            axes of that frame: fixed ones at the start, which a base or a steady motion
+            that turns carries round.
         inputs: Names of r: "base acceleration x" [m/s^2] (a field against it in the
             base's frame, whose potential an output "energy" has), "force y" at the mass
-            centre [N], "torque z" [N m], all on fixed axes; "force alpha[0]", of a
+            centre [N], "torque z" [N m], on those axes; "force alpha[0]", of a
             motor on a coordinate of what is carried [J per its unit]; or a number of
             the scene by its path, such as a spring's force
             ("supported[0].parameters.k").
