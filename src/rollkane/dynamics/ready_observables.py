@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import quaternion_of
-from ..geometry.small_linear import cross, dot, matvec, norm
+from ..geometry.small_linear import matvec, safe_norm
 from .observables import energy, friction_ratio, normal_force, outward
 from .rolling import contact_of
 
@@ -34,10 +34,12 @@ def spin(scene: Any, t: Any, state: Any) -> Float[Array, ""]:
 
 
 def tilt(scene: Any, t: Any, state: Any) -> Float[Array, ""]:
-    """Angle between the body's z axis and the vertical [rad], 0 to pi."""
+    """Angle between the body's z axis and the vertical [rad], 0 to pi.
+
+    Upright it has a corner, where its derivative is taken as zero.
+    """
     axis = contact_of(scene, t, state).rotation[:, 2]
-    up = jnp.array([0.0, 0.0, 1.0], axis.dtype)
-    return jnp.arctan2(norm(cross(up, axis)), dot(up, axis))
+    return jnp.arctan2(safe_norm(axis[:2]), axis[2])
 
 
 def contact_on_base(scene: Any, t: Any, state: Any) -> Float[Array, "3"]:

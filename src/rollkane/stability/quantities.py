@@ -16,9 +16,10 @@ from ..dynamics.observables import (
     moving_energy,
     normal_force,
 )
+from ..dynamics.ready_observables import tilt
 from ..dynamics.rolling import contact_of
 from ..dynamics.scene import Scene
-from ..geometry.small_linear import cross, dot
+from ..geometry.small_linear import cross, safe_norm
 from ..identification import paths
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError
@@ -33,26 +34,13 @@ def speed(scene: Scene, t: Float[Array, ""], state: State) -> Float[Array, ""]:
     arm = scene.body.center_of_mass - contact.body_point
     v = cross(contact.angular_velocity, arm)
     moved = contact.point_velocity
-    return _length(v if moved is None else v + moved)
-
-
-def tilt(scene: Scene, t: Float[Array, ""], state: State) -> Float[Array, ""]:
-    """Angle between the body's z axis and the fixed one [rad]."""
-    axis = contact_of(scene, t, state).rotation[:, 2]
-    return jnp.arctan2(_length(axis[:2]), axis[2])
+    return safe_norm(v if moved is None else v + moved)
 
 
 def spin(scene: Scene, t: Float[Array, ""], state: State) -> Float[Array, ""]:
     """Angular velocity about the body's own z axis [rad/s]."""
     del scene, t
     return state.angular_velocity[2]
-
-
-def _length(vector: Array) -> Array:
-    """Of a vector that may vanish, where its derivative is taken for zero."""
-    square = dot(vector, vector)
-    moves = square > 0.0
-    return jnp.where(moves, jnp.sqrt(jnp.where(moves, square, 1.0)), 0.0)
 
 
 def _component(function: _Observable, k: int) -> _Observable:

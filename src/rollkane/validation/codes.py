@@ -44,8 +44,9 @@ _REASONS = {
     Code.MAX_STEPS: "the largest number of steps was reached: raise max_steps, or "
     "loosen rtol",
     Code.STEP_TOO_SMALL: "the step became too small for the clock: the motion reached "
-    "a singular place (surfaces that fit each other) or a function of yours gave NaN "
-    "there; look at final_time and final_state",
+    "a singular place (surfaces that fit each other), a function of yours gave NaN "
+    "there, or times so far from zero (seconds since 1970) have no shorter step; look "
+    "at final_time and final_state",
     Code.BAD_START: "the start cannot be used: a number in it or in the times is NaN, "
     "the times are not in order, or the first rates are not finite",
     Code.CHART_EDGE: "the contact came to the edge of a surface's chart, where "
