@@ -265,8 +265,7 @@ class Trials(eqx.Module):
         turned = found & self.has_turned(c.place, tried.end, kind)
         event = (found & ~turned) | at_once | (good & ends)
         accept = (good & ~negative & ~c.searching) | event | turned
-        step = self.next_step(c, tried, size, early | ~known)
-        step = jnp.minimum(step, tried.doubt.next)
+        step = self.next_step(tried, taken, size, early | ~known)
         step = jnp.where(c.searching | begins, c.step, step)
         # what hides in a step is looked for in a shorter one
         cut = jnp.clip(tried.doubt.share, 0.1, 0.9) * taken
@@ -316,16 +315,21 @@ class Trials(eqx.Module):
         return jnp.where(lasts, c.kind, kind)
 
     def next_step(
-        self, c: Run, tried: Tried, size: Float[Array, ""], early: Bool[Array, ""]
+        self,
+        tried: Tried,
+        taken: Float[Array, ""],
+        size: Float[Array, ""],
+        early: Bool[Array, ""],
     ) -> Array:
         """An integral controller with diffrax's margin and lower limit.
 
-        It grows by five at most: behind a change the step before it says little.
+        It grows by five at most: behind a change the step before it says little. And
+        no longer than is worth trying, as an event would hide in it.
         """
         factor = 0.9 * jnp.maximum(size, 1e-10) ** (-1.0 / self.order)
         factor = jnp.clip(factor, 0.2, 5.0)
         factor = jnp.where(jnp.isnan(size) | early, 0.2, factor)
-        return (tried.t - c.place.t) * factor
+        return jnp.minimum(taken * factor, tried.doubt.next)
 
     def has_turned(self, at: Place, end: Step, kind: Int[Array, ""]) -> Array:
         """Whether a slip stands across its old direction without having ended."""
