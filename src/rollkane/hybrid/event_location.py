@@ -5,6 +5,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+# [s], about zero: so near an event its value falls with each try, or is rounding
+STAYS = 1e-11
+
 
 class Bracket(NamedTuple):
     """Steps on both sides of an event, and the next to try.

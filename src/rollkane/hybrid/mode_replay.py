@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..geometry.small_linear import dot
 from ..kinematics.coordinates import pack, unpack
+from .event_location import STAYS
 from .mode_rates import Cond, Seen, not_zero, picked, plain_cond
 from .modes import HybridState, ModedState, Switches
 from .transitions import Begun, Motion
@@ -322,7 +323,9 @@ class Taken(NamedTuple):
         """
         length, slides = self.row[_END] - self.begun.t, self.slides(motion)
         inverse = 1.0 / not_zero(slope)
-        grazes = (slope == 0.0) | (jnp.abs(self.row[_VALUE] * inverse) > length)
+        # behind an output that is as near as rounding is, the length says nothing
+        longest = jnp.maximum(length, STAYS * (1.0 + jnp.abs(self.row[_END])))
+        grazes = (slope == 0.0) | (jnp.abs(self.row[_VALUE] * inverse) > longest)
         inverse = jnp.where((self.kind < 0) | grazes | slides, 0.0, inverse)
         squared = not_zero(dot(slip, slip))
         none = jnp.zeros_like(slip)

@@ -2,7 +2,8 @@
 
 import dataclasses
 import enum
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -356,3 +357,16 @@ class Switches(eqx.Module):
         lost = (self.after == Mode.FLYING) & (self.before != Mode.FLYING)
         first = jnp.min(jnp.where(lost, self.time, jnp.inf), axis=-1)
         return jnp.where(jnp.isfinite(first), first, jnp.nan)
+
+
+def as_it_is(
+    function: Callable[[Scene, Array, Any], Array],
+    scene: Scene,
+    t: Float[Array, ""],
+    mode: Int[Array, ""],
+    y: HybridState,
+) -> Array:
+    """``function(scene, t, state)`` of the state as it flies, or as it touches."""
+    flying = lambda: function(scene, t, y.flying())
+    touching = lambda: function(scene, t, y.rolling())
+    return cast(Array, jax.lax.cond(mode == Mode.FLYING, flying, touching))

@@ -18,8 +18,8 @@ from ..integration.event_search import Happened
 from ..integration.plans import without_derivative
 from ..validation.codes import NO_FAULT, Code, is_stuck
 from .mode_replay import Path, Place
-from .modes import Mode, ModedState, Switches, slipping
-from .step_trial import Allowed, Run, as_it_is
+from .modes import Mode, ModedState, Switches, as_it_is, slipping
+from .step_trial import Allowed, Run
 from .transitions import Motion
 from .user_events import Kept
 

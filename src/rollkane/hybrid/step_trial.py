@@ -22,16 +22,15 @@ from ..geometry.small_linear import dot
 from ..integration.step_control import AboveRounding, Landings
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import Doubt, between, rate_at_end, stays_positive
-from .event_location import Bracket
+from .event_location import STAYS, Bracket
 from .flight_bounds import doubt_in_flight, rounding
 from .mode_rates import Step
 from .mode_replay import Path, Place, Record
-from .modes import HybridState, Mode
+from .modes import HybridState, Mode, as_it_is
 from .transitions import Motion
 from .user_events import Watched
 
 _ROOT = 1e-12  # of the event's value at the step's start
-_STAYS = 1e-11  # [s]: so near an event its value falls with each try, or is rounding
 _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
 # A slip is regular down to SMALLEST_SLIP; one that is larger where it stands across its
 # old direction has turned, not ended
@@ -195,20 +194,25 @@ class Trials(eqx.Module):
         opens = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
         return jnp.where(opens, -rounding(c.place.y, self.reach), zero)
 
-    def falls_back(self, c: Run, tried: Tried, rate: Float[Array, ""]) -> Array:
-        """Whether a flight ends where it begins: its body comes back, or never left.
+    def falls_back(
+        self, c: Run, tried: Tried, rate: Float[Array, ""]
+    ) -> tuple[Array, Array]:
+        """Whether a flight ends where it begins, or has come to its landing at once.
 
-        Its gap is rounding then, but as it would be from how fast it closes: that of a
-        force that vanished would be a third power, and opens.
+        Where it begins: its body comes back, or never left. Its gap is rounding then,
+        but as it would be from how fast it closes: that of a force that vanished would
+        be a third power, and opens. If it closes faster it has been higher.
         """
         if self.reach is None:
-            return jnp.asarray(False)
-        gap, flies = tried.end.values[0], c.place.mode == Mode.FLYING
-        slack = rounding(c.place.y, self.reach)
-        near = flies & jnp.isnan(c.values[0]) & (jnp.abs(gap + slack) <= slack)
+            return jnp.asarray(False), jnp.asarray(False)
+        gap, slack = tried.end.values[0], rounding(c.place.y, self.reach)
+        fresh = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
+        closes = rate * (tried.t - c.place.t)
+        high = closes < -8.0 * slack
         # by one rounding of the 64 at least
-        closes = rate * (tried.t - c.place.t) <= jnp.minimum(gap, -slack / 64.0)
-        return near & closes
+        falls = (jnp.abs(gap + slack) <= slack) & ~high
+        falls &= closes <= jnp.minimum(gap, -slack / 64.0)
+        return fresh & falls, fresh & high & (gap <= slack)
 
     def rate_of(self, at: Place, tried: Tried, kind: Int[Array, ""]) -> Array:
         """About how fast an event's value changes at the end of a step."""
@@ -233,16 +237,17 @@ class Trials(eqx.Module):
         # an output right behind an event: too close for anything to happen between,
         # and for as long as values that begin at zero are rounding, for any to be seen
         fresh, looks = jnp.isnan(c.values[0]), c.looks
-        brief = taken <= jnp.where(fresh, _STAYS * (1.0 + jnp.abs(c.place.t)), tiny)
+        brief = taken <= jnp.where(fresh, STAYS * (1.0 + jnp.abs(c.place.t)), tiny)
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
         kind = self.first_of(c, tried.end.values, share)
         ends = jnp.asarray(False)
         if c.watched is not None:
             ends = c.watched.ends_on_change(taken, tiny)
         value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
-        falls = self.falls_back(c, tried, rate)
+        falls, landed = self.falls_back(c, tried, rate)
         # one search at a time: a try within a step that stood has no change to look for
-        negative = ((~(least >= self.least_value(c)) & ~blinks) | falls) & ~looks
+        negative = ~(least >= self.least_value(c)) & ~blinks
+        negative = (negative | falls | landed) & ~looks
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
         behind = fresh & negative & known
@@ -257,7 +262,7 @@ class Trials(eqx.Module):
         off = jnp.abs(bracket.off)
         # no closer: rounding is what is left of the value
         stays = jnp.abs(value) >= jnp.abs(c.bracket.value)
-        stays &= off <= _STAYS * (1.0 + jnp.abs(tried.t))
+        stays &= off <= STAYS * (1.0 + jnp.abs(tried.t))
         exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
         # what is left until a change may be too short for the clock from the start
         exact = jnp.where(c.searching, exact, begins & closed)
@@ -364,8 +369,13 @@ class Trials(eqx.Module):
         return jnp.where(ends, NEARER * until, jnp.inf)
 
     def follows(self, at: Place, end: Step) -> Array:
-        """Whether a slip that begins is not yet far too fast to be one."""
-        fast = dot(end.y.slip, end.y.slip) > (2.0 * ONSET) ** 2
+        """Whether a slip that begins is not yet far too fast to be one.
+
+        Nor too fast to be one still where the contact ends: its friction, whose
+        direction its tangents need, is rounding there.
+        """
+        most = jnp.where(end.values[1] < 0.0, ONSET, 2.0 * ONSET)
+        fast = dot(end.y.slip, end.y.slip) > most**2
         return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
 
     def stands(self, at: Place, tried: Tried) -> Array:
@@ -385,16 +395,3 @@ class Trials(eqx.Module):
 def _scale(values: Array) -> Array:
     """What the events' values are measured by: what they were, if that is known."""
     return jnp.where(values > 0.0, values, 1.0)
-
-
-def as_it_is(
-    function: Callable[[Scene, Array, Any], Array],
-    scene: Scene,
-    t: Float[Array, ""],
-    mode: Int[Array, ""],
-    y: HybridState,
-) -> Array:
-    """``function(scene, t, state)`` of the state as it flies, or as it touches."""
-    flying = lambda: function(scene, t, y.flying())
-    touching = lambda: function(scene, t, y.rolling())
-    return cast(Array, jax.lax.cond(mode == Mode.FLYING, flying, touching))
