@@ -79,7 +79,7 @@ def test_outputs_at_changes_change_nothing(
 
 
 def test_outputs_at_changes_change_no_derivative():
-    """By the mass: a flight that lands on an output, a slip that lifts off before one."""
+    """By the mass: a flight lands on an output, a slip lifts off before one."""
     motion = rk.BaseMotion(shaken)
     modes = rk.Modes(friction=0.2, restitution=0.15)
 
