@@ -234,8 +234,7 @@ class Trials(eqx.Module):
         stands = self.stands(c.place, tried) & self.follows(c.place, tried.end)
         size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
-        # an output right behind an event: too close for anything to happen between,
-        # and for as long as values that begin at zero are rounding, for any to be seen
+        # an output right behind an event: nothing can happen, or be seen, between
         fresh, looks = jnp.isnan(c.values[0]), c.looks
         brief = taken <= jnp.where(fresh, STAYS * (1.0 + jnp.abs(c.place.t)), tiny)
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
@@ -246,8 +245,8 @@ class Trials(eqx.Module):
         value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
         falls, landed = self.falls_back(c, tried, rate)
         # one search at a time: a try within a step that stood has no change to look for
-        negative = ~(least >= self.least_value(c)) & ~blinks
-        negative = (negative | falls | landed) & ~looks
+        below = ~(least >= self.least_value(c)) & ~blinks
+        negative = (below | falls | landed) & ~looks
         # right behind a change the values may be zero: a step that ends on a negative
         # one was too long, unless it stays so: then the mode cannot even begin
         behind = fresh & negative & known
@@ -278,9 +277,8 @@ class Trials(eqx.Module):
         # behind a change shorter ones would see rounding, and take it for another
         step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
         step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
-        settles = self.while_it_turns(c.place, tried.end)
-        settles = jnp.minimum(settles, self.before_its_end(c, tried))
-        step = jnp.where(accept & ~event, jnp.minimum(step, settles), step)
+        settles = jnp.minimum(step, self.settling(c, tried))
+        step = jnp.where(accept & ~event, settles, step)
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
@@ -341,6 +339,11 @@ class Trials(eqx.Module):
         squared = dot(end.y.slip, end.y.slip)
         turned = (squared > _ENDED_SLIP**2) & ~begins(at.direction)
         return self.motion.ends_slip(at.mode, kind) & turned
+
+    def settling(self, c: Run, tried: Tried) -> Array:
+        """The longest step that a slip allows."""
+        turns = self.while_it_turns(c.place, tried.end)
+        return jnp.minimum(turns, self.before_its_end(c, tried))
 
     def while_it_turns(self, at: Place, end: Step) -> Array:
         """The longest step in which a slip's direction settles, and does not swing.
