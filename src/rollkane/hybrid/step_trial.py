@@ -208,7 +208,7 @@ class Trials(eqx.Module):
         gap, slack = tried.end.values[0], rounding(c.place.y, self.reach)
         fresh = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
         closes = rate * (tried.t - c.place.t)
-        high = closes < -8.0 * slack
+        high = closes < -8.0 * slack  # a fall from rest: 2 to 3 gaps, 6 at most
         # by one rounding of the 64 at least
         falls = (jnp.abs(gap + slack) <= slack) & ~high
         falls &= closes <= jnp.minimum(gap, -slack / 64.0)
