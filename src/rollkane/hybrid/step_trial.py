@@ -377,8 +377,8 @@ class Trials(eqx.Module):
         Nor too fast to be one still where the contact ends: its friction, whose
         direction its tangents need, is rounding there.
         """
-        most = jnp.where(end.values[1] < 0.0, ONSET, 2.0 * ONSET)
-        fast = dot(end.y.slip, end.y.slip) > most**2
+        squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
+        fast = (squared > (2.0 * ONSET) ** 2) | (lifts & (squared > ONSET**2))
         return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
 
     def stands(self, at: Place, tried: Tried) -> Array:
