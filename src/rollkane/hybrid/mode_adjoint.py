@@ -26,8 +26,9 @@ from .modes import HybridState, ModedState, Switches
 # Of path, time and state, as a run leaves them.
 Cotangents: TypeAlias = tuple[tuple[ModedState, None, Switches], Array, ModedState]
 _Of: TypeAlias = Callable[[Array], Array]
-# Number of a step and of its event, then cotangents: of its end, of the inputs.
-_Back: TypeAlias = tuple[Array, Array, OfPlace, Any]
+# Number of a step and of its event, then cotangents: of its end, of the time of the
+# change before those that followed at once, of the inputs.
+_Back: TypeAlias = tuple[Array, Array, OfPlace, Array, Any]
 # Of a step's begin: of time, state in one array, and direction of a slip.
 _Begin: TypeAlias = tuple[Float[Array, ""], Float[Array, " n"], Float[Array, "3"]]
 # Of the inputs, of the begin, and of the time of the end.
@@ -57,8 +58,8 @@ def pulled_back(
     """
     (saved, _, switches), t, last = cotangents
 
-    def of_shown(taken: Taken, count: Int[Array, ""]) -> OfPlace:
-        """What outputs and switches ask of the end of a step."""
+    def of_shown(taken: Taken, count: Int[Array, ""], since: Array) -> OfPlace:
+        """What outputs and switches ask of the end of a step, and what follows."""
         event = taken.kind >= 0
 
         def part(where: Array, array: Array, i: Array) -> Array:
@@ -70,35 +71,40 @@ def pulled_back(
         at_event: _Of = lambda array: part(event, array, count)
         y, direction = jax.tree.map(at_output, (saved.parts, saved.direction))
         time, changed = jax.tree.map(at_event, (switches.time, switches.state))
+        time = time + jnp.where(event, since, 0.0)
         return time, jax.tree.map(jnp.add, y, changed), direction
 
     def one(carry: _Back) -> _Back:
-        i, count, cotangent, of_varied = carry
-        count = count - jnp.where(record.steps[i, KIND] >= 0, 1, 0)
+        i, count, cotangent, since, of_varied = carry
+        event = record.steps[i, KIND] >= 0
+        count = count - jnp.where(event, 1, 0)
         taken = record.step(i, count)
-        both = cotangent, of_shown(taken, count)
-        own, cotangent = _through_step(make, varied, taken, both)
-        return i - 1, count, cotangent, jax.tree.map(jnp.add, of_varied, own)
+        both = cotangent, of_shown(taken, count, since)
+        own, cotangent, follows = _through_step(make, varied, taken, both)
+        since = jnp.where(event, 0.0, since) + follows
+        return i - 1, count, cotangent, since, jax.tree.map(jnp.add, of_varied, own)
 
     cotangent = t, last.parts, last.direction
     zeros: _Of = lambda x: jnp.zeros_like(x)
     none = jax.tree.map(zeros, varied)
-    carry = record.length - 1, record.events, cotangent, none
+    carry = record.length - 1, record.events, cotangent, jnp.zeros_like(t), none
     more: Callable[[_Back], Array] = lambda c: c[0] >= 0
-    *_, cotangent, of_varied = jax.lax.while_loop(more, one, carry)
+    *_, cotangent, since, of_varied = jax.lax.while_loop(more, one, carry)
 
     start: Callable[[Any], OfPlace] = lambda varied: make.begun(varied, mode)
     at_first: _Of = lambda x: x[0]
     first = jax.tree.map(at_first, (saved.parts, saved.direction))
-    cotangent = cotangent[0], *jax.tree.map(jnp.add, cotangent[1:], first)
+    cotangent = cotangent[0] + since, *jax.tree.map(jnp.add, cotangent[1:], first)
     (own,) = pulled(start, (varied,), cotangent)
     return jax.tree.map(jnp.add, of_varied, own)
 
 
 def _through_step(
     make: Make, varied: Any, taken: Taken, cotangent: tuple[OfPlace, OfPlace]
-) -> tuple[Any, OfPlace]:
-    """Cotangents of the inputs, and of time, state and direction before a step.
+) -> tuple[Any, OfPlace, Float[Array, ""]]:
+    """Cotangents of the inputs, of time, state and direction before a step.
+
+    And of the time of the last change, if the step's event follows it at once.
 
     Args:
         make: What the run is made of.
@@ -108,7 +114,10 @@ def _through_step(
             that are shown.
     """
     cond = plain_cond if becomes_c() else _cond
-    ends = taken.ends(make.times(varied))
+    t = taken.begun.t
+    when: Callable[[Any, Array], Array]
+    when = lambda varied, since: taken.ends(make.times(varied), since)
+    ends = when(varied, t)
 
     def behind(
         varied: Any, direction: Array, t: Array, y: HybridState
@@ -120,10 +129,9 @@ def _through_step(
     own, turned, of_t, of_y = pulled(behind, at_end, cotangent)
     found = _through_stages(make, varied, taken, ends, (of_t, of_y), cond)
     of_varied, (of_begin, of_start, of_direction), of_ends = found
-    when: Callable[[Any], Array] = lambda varied: taken.ends(make.times(varied))
-    of_when = pulled(when, (varied,), of_t + of_ends)
-    total = jax.tree.map(lambda *x: sum(x), own, of_varied, *of_when)
-    return total, (of_begin, unpack(of_start, taken.y), turned + of_direction)
+    of_when, since = pulled(when, (varied, t), of_t + of_ends)
+    total = jax.tree.map(lambda *x: sum(x), own, of_varied, of_when)
+    return total, (of_begin, unpack(of_start, taken.y), turned + of_direction), since
 
 
 # Turns of a step's way back: the slip that ends or, in the last of them, the event's

@@ -35,7 +35,8 @@ from .event_bounds import BESIDE, RANGES, dip_tables
 from .mode_loop import Loop
 from .mode_rates import beside_ends
 from .modes import HybridState, Mode
-from .step_trial import NEARER, SETTLES, Run
+from .slip_bounds import NEARER, SETTLES
+from .step_trial import Run
 from .transitions import FOLLOWED, Motion
 
 

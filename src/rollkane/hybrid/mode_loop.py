@@ -86,7 +86,8 @@ class Loop(Trials):
             watched = watched.looked(look, event)
             watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
         if record is not None:
-            number, value = jnp.where(event, kind, -1), end.values[kind]
+            number = jnp.where(event, kind, -1)
+            value = jnp.where(verdict.since, jnp.inf, end.values[kind])
             row = tried.t, following.t, number, value, shown
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)

@@ -141,8 +141,8 @@ class Record(NamedTuple):
 
     Attributes:
         steps: A row for each: where it ended [s], where the next one began [s], which
-            event it ended on, or -1, and its value there, which output it ended on, or
-            0, shape (N, 5).
+            event it ended on, or -1, and its value there (infinite: it happened at once
+            behind the change before it), which output it ended on, or 0, shape (N, 5).
         changed: States that events changed, each in one array, shape (S, n).
         kept: Where the run was at its start, and behind each step, N + 1 of them.
         counted: How many steps there are, and how many of them ended on an event.
@@ -233,14 +233,27 @@ class Taken(NamedTuple):
         """Which output it ended on; 0: none."""
         return self.row[OUTPUT].astype(int)
 
-    def ends(self, times: Float[Array, " T"]) -> Float[Array, ""]:
+    @property
+    def at_once(self) -> Bool[Array, ""]:
+        """Whether its event happened at once behind the change before it."""
+        return jnp.isinf(self.row[_VALUE])
+
+    def ends(
+        self, times: Float[Array, " T"], since: Float[Array, ""]
+    ) -> Float[Array, ""]:
         """When it ends [s].
 
-        An output's time moves the end of its step, which may be one number before it.
+        An output's time moves the end of its step, which may be one number before it;
+        that of a change moves one that follows at once.
+
+        Args:
+            times: Of outputs [s].
+            since: When the last change was, or the run began [s].
         """
-        asked = times[self.output]
+        asked = jnp.where(self.at_once, since, times[self.output])
         moved = asked - jax.lax.stop_gradient(asked)
-        return jnp.where(self.output > 0, self.row[_END] + moved, self.row[_END])
+        follows = self.at_once | (self.output > 0)
+        return jnp.where(follows, self.row[_END] + moved, self.row[_END])
 
     def at_end(
         self,
@@ -313,8 +326,8 @@ class Taken(NamedTuple):
     ) -> "Moved":
         """How an event's time follows what it depends on: by one Newton step.
 
-        Its value is zero: not where the event only grazes its zero. Constants to a
-        first derivative.
+        Its value is zero: not where the event only grazes its zero, nor where it has
+        none (:meth:`ends`). Constants to a first derivative.
 
         Args:
             motion: Rates and events.
@@ -322,11 +335,13 @@ class Taken(NamedTuple):
             slip: By which the slip does [m/s^2].
         """
         length, slides = self.row[_END] - self.begun.t, self.slides(motion)
+        slides &= ~self.at_once
         inverse = 1.0 / not_zero(slope)
         # behind an output that is as near as rounding is, the length says nothing
-        longest = jnp.maximum(length, STAYS * (1.0 + jnp.abs(self.row[_END])))
-        grazes = (slope == 0.0) | (jnp.abs(self.row[_VALUE] * inverse) > longest)
-        inverse = jnp.where((self.kind < 0) | grazes | slides, 0.0, inverse)
+        long = length > STAYS * (1.0 + jnp.abs(self.row[_END]))
+        grazes = long & (jnp.abs(self.row[_VALUE] * inverse) > length)
+        still = (self.kind < 0) | (slope == 0.0) | grazes | self.at_once
+        inverse = jnp.where(still | slides, 0.0, inverse)
         squared = not_zero(dot(slip, slip))
         none = jnp.zeros_like(slip)
         return Moved(

@@ -37,9 +37,9 @@ class Make(NamedTuple):
 
 # Of time, state and direction of a slip.
 OfPlace: TypeAlias = tuple[Array, HybridState, Array]
-# Number of a step and of its event, then tangents: of its begin, of what was shown
-# at outputs and at events.
-_Forth: TypeAlias = tuple[Array, Array, OfPlace, "_Shown", "_Shown"]
+# Number of a step and of its event, then tangents: of its begin, of the time of the
+# last change, of what was shown at outputs and at events.
+_Forth: TypeAlias = tuple[Array, Array, OfPlace, Array, "_Shown", "_Shown"]
 # Number of a turn, tangents along the step's end, and those found last.
 _Along: TypeAlias = tuple[Array, EndOf, EndOf]
 _INPUTS = 1  # the turn along the inputs; the one before is along the step's end
@@ -96,17 +96,18 @@ def pushed_on(
     saved = _Shown.empty(first, outputs).after(whole, jnp.asarray(True), first)
 
     def one(carry: _Forth) -> _Forth:
-        i, count, dots, saved, changes = carry
+        i, count, dots, since, saved, changes = carry
         taken = record.step(i, count)
-        dots, shown = _through_step(make, varied, taken, tangents, dots)
+        dots, shown = _through_step(make, varied, taken, tangents, dots, since)
         event = taken.kind >= 0
+        since = jnp.where(event, shown[0], since)
         saved = saved.after(taken.output, taken.output > 0, shown)
         changes = changes.after(count, event, shown)
-        return i + 1, count + jnp.where(event, 1, 0), dots, saved, changes
+        return i + 1, count + jnp.where(event, 1, 0), dots, since, saved, changes
 
     more: Callable[[_Forth], Array] = lambda carry: carry[0] < record.length
-    carry = whole, whole, first, saved, _Shown.empty(first, switches)
-    *_, (t, y, direction), saved, changes = jax.lax.while_loop(more, one, carry)
+    carry = whole, whole, first, first[0], saved, _Shown.empty(first, switches)
+    *_, (t, y, direction), _, saved, changes = jax.lax.while_loop(more, one, carry)
     none = jnp.zeros(switches, int)
     return (
         Path(
@@ -120,9 +121,11 @@ def pushed_on(
 
 
 def _through_step(
-    make: Make, varied: Any, taken: Taken, tangents: Any, dots: OfPlace
+    make: Make, varied: Any, taken: Taken, tangents: Any, dots: OfPlace, since: Array
 ) -> tuple[OfPlace, OfPlace]:
     """Tangents where the next step begins, and of what this one shows.
+
+    Those of its begin are ``dots``, that of the last change's time is ``since``.
 
     An event's time moves, and with it the step's end: the first of two tangents is
     along that alone. It is the step's own: as a slip ends its direction may turn
@@ -130,8 +133,9 @@ def _through_step(
     """
     motion = make.motion(varied)
     t, y, mode, direction = taken.begun
-    when: Callable[[Any], Array] = lambda varied: taken.ends(make.times(varied))
-    ends, of_ends = jvp(when, (varied,), (tangents,))
+    when: Callable[[Any, Array], Array]
+    when = lambda varied, since: taken.ends(make.times(varied), since)
+    ends, of_ends = jvp(when, (varied, t), (tangents, since))
 
     own = tangents, *dots, of_ends
     zeros: Callable[[Array], Array] = lambda x: jnp.zeros_like(x)

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen import least_product
-from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..dynamics.directed_friction import SMALLEST_SLIP, begins
 from ..dynamics.gap import closing
 from ..dynamics.rolling import headings, watches_headings
 from ..dynamics.scene import Scene
@@ -27,6 +27,7 @@ from .flight_bounds import doubt_in_flight, rounding
 from .mode_rates import Step
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode, as_it_is
+from .slip_bounds import is_as_it_began, longest_step
 from .transitions import Motion
 from .user_events import Watched
 
@@ -35,11 +36,6 @@ _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to spea
 # A slip is regular down to SMALLEST_SLIP; one that is larger where it stands across its
 # old direction has turned, not ended
 _ENDED_SLIP = 30.0 * SMALLEST_SLIP
-# Rate times step: methods of orders 3 and 5 are stable to 2.5 and 3.3 at least
-SETTLES = 2.0
-# Of the time until a slip ends, in one step: tangents of an ellipsoid's end are then
-# known to 5e-12 (Dopri8 at rtol 1e-9), to 5e-11 with a half
-NEARER = 0.25
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)
 _CUTS = 24
@@ -88,6 +84,7 @@ class Verdict(NamedTuple):
 
     accept: Array
     event: Array
+    since: Array  # the change before it: it happened there, not by a zero of its own
     turned: Array  # a slip, until it stands across its old direction
     kind: Array
     searching: Array
@@ -231,12 +228,13 @@ class Trials(eqx.Module):
         tiny = 4.0 * np.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
         share = self.shares(c, tried.end.values)
         least = jnp.min(share)
-        stands = self.stands(c.place, tried) & self.follows(c.place, tried.end)
+        stands = self.stands(c.place, tried) & is_as_it_began(c.place, tried.end)
         size = jnp.where(stands, size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: nothing can happen, or be seen, between
         fresh, looks = jnp.isnan(c.values[0]), c.looks
-        brief = taken <= jnp.where(fresh, STAYS * (1.0 + jnp.abs(c.place.t)), tiny)
+        short = STAYS * (1.0 + jnp.abs(c.place.t))
+        brief = taken <= jnp.where(fresh, short, tiny)
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
         kind = self.first_of(c, tried.end.values, share)
         ends = jnp.asarray(False)
@@ -252,6 +250,8 @@ class Trials(eqx.Module):
         behind = fresh & negative & known
         at_once = behind & (size <= 1.0) & (falls | (0.2 * taken <= tiny))
         early = behind & ~at_once
+        # not for a value that comes to its zero only now
+        since = at_once & (falls | (jnp.abs(value) >= jnp.abs(rate) * short))
         hides = tried.doubt.hides & known & ~brief & ~looks
         good = (size <= 1.0) & (known | blinks) & ~behind & ~hides
         begins = good & negative & ~c.searching
@@ -274,16 +274,22 @@ class Trials(eqx.Module):
         # what hides in a step is looked for in a shorter one
         cut = jnp.clip(tried.doubt.share, 0.1, 0.9) * taken
         step = jnp.where(hides, cut, step)
-        # behind a change shorter ones would see rounding, and take it for another
-        step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
-        step = jnp.where(tried.lands & accept, jnp.maximum(step, c.step), step)
-        settles = jnp.minimum(step, self.settling(c, tried))
-        step = jnp.where(accept & ~event, settles, step)
+        step = jnp.where(accept, self.behind(c, tried, step, event, tiny), step)
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
         return Verdict(
-            accept, event, turned, kind, searching, bracket, step, cuts, stuck, blinks
+            accept,
+            event,
+            since,
+            turned,
+            kind,
+            searching,
+            bracket,
+            step,
+            cuts,
+            stuck,
+            blinks,
         )
 
     def shares(self, c: Run, values: Float[Array, "2"]) -> Array:
@@ -334,52 +340,26 @@ class Trials(eqx.Module):
         factor = jnp.where(jnp.isnan(size) | early, 0.2, factor)
         return jnp.minimum(taken * factor, tried.doubt.next)
 
+    def behind(
+        self,
+        c: Run,
+        tried: Tried,
+        step: Float[Array, ""],
+        event: Bool[Array, ""],
+        tiny: Float[Array, ""],
+    ) -> Array:
+        """How long the step behind one that stands is tried."""
+        # behind a change shorter ones would see rounding, and take it for another
+        step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
+        step = jnp.where(tried.lands, jnp.maximum(step, c.step), step)
+        settles = longest_step(c.place, c.values[0], tried.t, tried.end)
+        return jnp.where(event, step, jnp.minimum(step, settles))
+
     def has_turned(self, at: Place, end: Step, kind: Int[Array, ""]) -> Array:
         """Whether a slip stands across its old direction without having ended."""
         squared = dot(end.y.slip, end.y.slip)
         turned = (squared > _ENDED_SLIP**2) & ~begins(at.direction)
         return self.motion.ends_slip(at.mode, kind) & turned
-
-    def settling(self, c: Run, tried: Tried) -> Array:
-        """The longest step that a slip allows."""
-        turns = self.while_it_turns(c.place, tried.end)
-        return jnp.minimum(turns, self.before_its_end(c, tried))
-
-    def while_it_turns(self, at: Place, end: Step) -> Array:
-        """The longest step in which a slip's direction settles, and does not swing.
-
-        Friction turns it at a rate mu N / r, stiff where r is small. A straight slip
-        does not show it; what differs from it, its tangents, would grow with each step.
-        """
-        slip = jnp.sqrt(dot(end.y.slip, end.y.slip)) + SMALLEST_SLIP
-        turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
-        turns &= (slip > ONSET) | ~begins(at.direction)
-        turn = jnp.where(turns, end.turn, 1.0)
-        return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
-
-    def before_its_end(self, c: Run, tried: Tried) -> Array:
-        """A share of the time until a slip ends at its present rate.
-
-        Beyond its end friction turns round, and such a step is tried in vain. Across
-        the slip rates vary as one over it: no error is known of tangents along them.
-        """
-        left = tried.end.values[0]
-        lost = c.values[0] - left  # nothing, without friction
-        ends = (c.place.mode == Mode.SLIPPING) & ~begins(c.place.direction)
-        ends &= (lost > 0.0) & (left > 0.0)
-        taken = tried.t - c.place.t  # and what the law leaves of it: so it does end
-        until = (left + SMALLEST_SLIP) * taken / jnp.where(ends, lost, 1.0)
-        return jnp.where(ends, NEARER * until, jnp.inf)
-
-    def follows(self, at: Place, end: Step) -> Array:
-        """Whether a slip that begins is not yet far too fast to be one.
-
-        Nor too fast to be one still where the contact ends: its friction, whose
-        direction its tangents need, is rounding there.
-        """
-        squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
-        fast = (squared > (2.0 * ONSET) ** 2) | (lifts & (squared > ONSET**2))
-        return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
 
     def stands(self, at: Place, tried: Tried) -> Array:
         """Whether no normal passed where its contact jumps, nor the body its base."""
