@@ -95,14 +95,15 @@ def test_outputs_at_changes_change_no_derivative():
     for seed in (1, 7):
         start, begin = toss(scene_of(rk.Sphere(0.1), motion), seed, 0.17, 0.2)
         last = begin + SPAN
-        (_, when), (plain, _) = slope(start, np.linspace(begin, last, 9))
+        (_, when), (plain, later) = slope(start, np.linspace(begin, last, 9))
         when = np.asarray(when)
         for moment in when[np.isfinite(when)][:9]:
             for offset in (0.0, -1e-14, 3e-15, 1e-12, 1e-9, 1e-7):
                 at = moment + offset
                 first = np.linspace(begin, at, 3)
                 times = np.append(first, np.linspace(at, last, 7)[1:])
-                _, (found, _) = slope(start, times)
+                _, (found, moved) = slope(start, times)
                 # steps at rtol 1e-10, of tangents that lift-offs make more of: 5e-9
                 # at most, of 7 starts; 1e-7 to 80 where they were wrong
                 np.testing.assert_allclose(found, plain, rtol=0.0, atol=3e-8)
+                np.testing.assert_allclose(moved, later, rtol=0.0, atol=3e-8)

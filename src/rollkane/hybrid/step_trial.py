@@ -228,8 +228,7 @@ class Trials(eqx.Module):
         tiny = 4.0 * np.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
         share = self.shares(c, tried.end.values)
         least = jnp.min(share)
-        stands = self.stands(c.place, tried) & is_as_it_began(c.place, tried.end)
-        size = jnp.where(stands, size, jnp.inf)
+        size = jnp.where(self.stands(c.place, tried), size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: nothing can happen, or be seen, between
         fresh, looks = jnp.isnan(c.values[0]), c.looks
@@ -257,14 +256,7 @@ class Trials(eqx.Module):
         begins = good & negative & ~c.searching
         flies = c.place.mode == Mode.FLYING
         bracket = c.bracket.after(begins, taken, value, rate, flies)
-        closed = bracket.high - bracket.low <= tiny
-        off = jnp.abs(bracket.off)
-        # no closer: rounding is what is left of the value
-        stays = jnp.abs(value) >= jnp.abs(c.bracket.value)
-        stays &= off <= STAYS * (1.0 + jnp.abs(tried.t))
-        exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
-        # what is left until a change may be too short for the clock from the start
-        exact = jnp.where(c.searching, exact, begins & closed)
+        exact, closed = self.located(c, tried, least, begins, bracket, tiny)
         found = known & ~hides & exact
         turned = found & self.has_turned(c.place, tried.end, kind)
         event = (found & ~turned) | at_once | (good & ends)
@@ -291,6 +283,25 @@ class Trials(eqx.Module):
             stuck,
             blinks,
         )
+
+    def located(
+        self,
+        c: Run,
+        tried: Tried,
+        least: Float[Array, ""],
+        begins: Bool[Array, ""],
+        bracket: Bracket,
+        tiny: Float[Array, ""],
+    ) -> tuple[Array, Array]:
+        """Whether a step ends on what is looked for, and whether no try is left."""
+        closed = bracket.high - bracket.low <= tiny
+        off = jnp.abs(bracket.off)
+        # no closer: rounding is what is left of the value
+        stays = jnp.abs(bracket.value) >= jnp.abs(c.bracket.value)
+        stays &= off <= STAYS * (1.0 + jnp.abs(tried.t))
+        exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
+        # what is left until a change may be too short for the clock from the start
+        return jnp.where(c.searching, exact, begins & closed), closed
 
     def shares(self, c: Run, values: Float[Array, "2"]) -> Array:
         """The events' values over what they were.
@@ -362,8 +373,11 @@ class Trials(eqx.Module):
         return self.motion.ends_slip(at.mode, kind) & turned
 
     def stands(self, at: Place, tried: Tried) -> Array:
-        """Whether no normal passed where its contact jumps, nor the body its base."""
-        scene, stands = self.motion.scenes.rolling, jnp.asarray(True)
+        """Whether no normal passed where its contact jumps, nor the body its base.
+
+        Nor a slip that begins what it begins as.
+        """
+        scene, stands = self.motion.scenes.rolling, is_as_it_began(at, tried.end)
         y = tried.end.y
         if watches_headings(scene):
             ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)

@@ -1,0 +1,71 @@
+"""How long a step of a slip may be, and when one is still what it began as."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..geometry.small_linear import dot
+from .mode_rates import Step
+from .mode_replay import Place
+from .modes import Mode
+
+# Rate times step: methods of orders 3 and 5 are stable to 2.5 and 3.3 at least
+SETTLES = 2.0
+# Of the time until a slip ends, in one step: tangents of an ellipsoid's end are then
+# known to 5e-12 (Dopri8 at rtol 1e-9), to 5e-11 with a half
+NEARER = 0.25
+
+
+def longest_step(
+    at: Place, known: Float[Array, ""], t: Float[Array, ""], end: Step
+) -> Float[Array, ""]:
+    """The longest step that a slip allows behind one [s]; else infinite.
+
+    Args:
+        at: Where the step before it began.
+        known: How fast the slip was there, along its way [m/s].
+        t: When that step ended [s].
+        end: What it ended as.
+    """
+    return jnp.minimum(_while_it_turns(at, end), _before_its_end(at, known, t, end))
+
+
+def _while_it_turns(at: Place, end: Step) -> Float[Array, ""]:
+    """The longest step in which a slip's direction settles, and does not swing.
+
+    Friction turns it at a rate mu N / r, stiff where r is small. A straight slip does
+    not show it; what differs from it, its tangents, would grow with each step.
+    """
+    slip = jnp.sqrt(dot(end.y.slip, end.y.slip)) + SMALLEST_SLIP
+    turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
+    turns &= (slip > ONSET) | ~begins(at.direction)
+    turn = jnp.where(turns, end.turn, 1.0)
+    return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
+
+
+def _before_its_end(
+    at: Place, known: Float[Array, ""], t: Float[Array, ""], end: Step
+) -> Float[Array, ""]:
+    """A share of the time until a slip ends at its present rate.
+
+    Beyond its end friction turns round, and such a step is tried in vain. Across the
+    slip rates vary as one over it: no error is known of tangents along them.
+    """
+    left = end.values[0]
+    lost = known - left  # nothing, without friction
+    ends = (at.mode == Mode.SLIPPING) & ~begins(at.direction)
+    ends &= (lost > 0.0) & (left > 0.0)
+    taken = t - at.t  # and what the law leaves of it: so it does end
+    until = (left + SMALLEST_SLIP) * taken / jnp.where(ends, lost, 1.0)
+    return jnp.where(ends, NEARER * until, jnp.inf)
+
+
+def is_as_it_began(at: Place, end: Step) -> Bool[Array, ""]:
+    """Whether a slip that begins is not yet far too fast to be one.
+
+    Nor too fast to be one still where the contact ends: its friction, whose direction
+    its tangents need, is rounding there.
+    """
+    squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
+    fast = (squared > (2.0 * ONSET) ** 2) | (lifts & (squared > ONSET**2))
+    return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
