@@ -26,7 +26,7 @@ from .mode_rates import picked
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
 from .step_trial import Run, Trials, Tried, Verdict
-from .transitions import Begun
+from .transitions import Begun, jams
 from .user_events import (
     Look,
     Watched,
@@ -62,6 +62,7 @@ class Loop(Trials):
         slid, after = self._behind(at, tried, verdict)
         falls_flat = verdict.event & self.lies_on_face(at, tried)
         lost = verdict.event & ~falls_flat & ~jnp.all(jnp.isfinite(pack(after.y)))
+        jammed = lost & jams(after.y)
         # where nothing follows the run ends on the event, as it came there
         ends = falls_flat | lost
         event = verdict.event & ~ends
@@ -92,6 +93,7 @@ class Loop(Trials):
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
         code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
+        code = jnp.where(jammed, Code.PAINLEVE, code)
         values = self.values_after(c, end.values, event, after, verdict.blinks)
         path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:

@@ -76,7 +76,8 @@ class Modes(eqx.Module):
 
         Args:
             friction: The coefficient of sliding friction [1], 0 or more; left out, the
-                body never slips.
+                body never slips. A run ends with ``Code.PAINLEVE`` where it can then
+                neither roll on nor leave.
             static_friction: That of sticking [1], friction or more; left out, the same.
             lifts: Whether the contact ends where it would have to pull.
             restitution: That of a landing [1], from 0 to 1; left out, nothing lands.

@@ -14,10 +14,7 @@ from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
 from ..dynamics.gap import in_flight
 from ..dynamics.impacts import Rebound, impact
 from ..dynamics.mass_matrix import assemble
-from ..dynamics.rolling import (
-    at_contact,
-    contact_of,
-)
+from ..dynamics.rolling import at_contact, contact_of, rolling_derivative
 from ..geometry.small_linear import (
     cross,
     dot,
@@ -29,6 +26,8 @@ from ..geometry.small_linear import (
 from .mode_rates import ModeRates, not_zero, picked
 from .modes import HybridState, Mode, of, slipping
 
+# Of a speed or a force: less is rounding
+_HELD = 1e-9
 FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
 # Mode, direction of the slip, and state.
 Begun: TypeAlias = tuple[Int[Array, ""], Float[Array, "3"], HybridState]
@@ -86,7 +85,8 @@ class Motion(ModeRates):
     ) -> Begun:
         """Mode, direction and state after an event, if one happens.
 
-        Where the contact is lost (kind 1) nothing else counts.
+        Where the contact is lost (kind 1) nothing else counts. Of a body that never
+        slips, where it can neither roll nor leave (:func:`jams`) the slip is NaN.
         """
         rolls, flies = mode == Mode.ROLLING, mode == Mode.FLYING
         still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
@@ -98,6 +98,8 @@ class Motion(ModeRates):
             flying = of(hit.flying)
         if self.modes.lifts:
             flying = picked(flies, flying, self._lifted(t, y))
+        if self.modes.friction is None:
+            touching = self._without_slip(touching, y)
         speed = safe_norm(touching.slip)
         slips = speed > 0.0
         stays, way, gripped = self.settled(t, touching)
@@ -113,8 +115,32 @@ class Motion(ModeRates):
         )
 
     def _lifted(self, t: Float[Array, ""], y: HybridState) -> HybridState:
-        """In flight, as the contact left it."""
-        return of(in_flight(y.sliding(), self.scenes.rolling, t))
+        """In flight, as the contact left it.
+
+        A body that never slips is still held along its base where its normal force
+        vanishes. Let go of, it may turn into its base: then it does not leave it.
+        """
+        flying = of(in_flight(y.sliding(), self.scenes.rolling, t))
+        if self.modes.friction is not None:
+            return flying
+        scene = self.scenes.rolling
+        now = at_contact(scene, t, y.rolling())
+        free = slipping(scene, jnp.zeros_like(t), now.out, y, follows=True, turns=False)
+        needed = at_contact(free, t, y.sliding()).press  # to stay without friction
+        falls = rolling_derivative(self.scenes.flying, t, flying.flying()).velocity
+        known = jnp.abs(now.press) + safe_norm(now.pull)
+        known = known + scene.body.mass * safe_norm(falls)
+        return _jammed(flying, needed > _HELD * known)
+
+    def _without_slip(self, touching: HybridState, y: HybridState) -> HybridState:
+        """What never slips touches without slip, but for rounding; else it is lost.
+
+        A landing may end while it slips, however much friction there is: that throws
+        the body off where it is eccentric.
+        """
+        slips = safe_norm(touching.slip) > _HELD * safe_norm(y.velocity)
+        still = eqx.tree_at(lambda y: y.slip, touching, jnp.zeros_like(touching.slip))
+        return _jammed(still, slips)
 
     def _hit(
         self, t: Float[Array, ""], y: HybridState, happens: Bool[Array, ""]
@@ -213,3 +239,15 @@ class Motion(ModeRates):
             # no friction looks for a way: a slip has its own at once, and rest has none
             way = jnp.where(sticks, way, now.out)
         return mode, way, y
+
+
+def _jammed(y: HybridState, jams: Bool[Array, ""]) -> HybridState:
+    """A state whose slip is NaN, if it jams."""
+    slip = jnp.where(jams, jnp.nan, y.slip)
+    return eqx.tree_at(lambda y: y.slip, y, slip)
+
+
+def jams(y: HybridState) -> Bool[Array, ""]:
+    """Whether a body that never slips came to where it can neither roll nor leave."""
+    known = jnp.all(jnp.isfinite(y.angular_velocity))
+    return known & jnp.any(jnp.isnan(y.slip))

@@ -53,8 +53,9 @@ _REASONS = {
     'Voronets coordinates end: go on from final_state with coordinates="pole-free", '
     "or with another chart",
     Code.PAINLEVE: "no normal force fits the friction here (Painleve's paradox): the "
-    "body jams or jumps, which this contact law does not have; lower the friction, or "
-    "look at final_state with rollkane.dynamics.rolling.painleve_margin",
+    "body jams or jumps, which this contact law does not have; lower the friction (a "
+    "body that never slips has no end of it: give Modes(friction=)), or look at "
+    "final_state with rollkane.dynamics.rolling.painleve_margin",
     Code.TOO_MANY_SWITCHES: "the contact changed more often than Modes(switches=) "
     "keeps: raise it, or rest_speed if the body comes to rest by ever smaller "
     "rebounds; if it ended and began again at once, by a viscous resistance, which "
