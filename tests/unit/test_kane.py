@@ -115,6 +115,10 @@ REFUSED = {
         lambda: in_plane(dependent=(1,)),
         "KaneSystem.dependent: are not determined by anything",
     ),
+    "a configuration that determines nothing": (
+        lambda: in_plane(configuration=lambda t, q, u: q[:1], dependent=None),
+        "KaneSystem.dependent_coordinates: does not say what configuration determines",
+    ),
     "more constraints than dependent speeds": (
         lambda: in_plane(constraints=lambda t, q, u: u, dependent=(1,)),
         r"KaneSystem.constraints: returns shape \(2,\)",

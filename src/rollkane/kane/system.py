@@ -335,14 +335,13 @@ def _bound(
 ) -> GivenFunction | None:
     """Constraints, one for each number that they determine."""
     if function is None and chosen:
-        raise FieldError(
-            f"KaneSystem.{of}",
-            chosen,
-            "are not determined by anything",
-            f"give {name}(t, q, ...), one for each",
-        )
+        problem, remedy = "are not determined by anything", f"give {name}, one for each"
+        raise FieldError(f"KaneSystem.{of}", chosen, problem, remedy)
     if function is None:
         return None
+    if not chosen:
+        problem, remedy = f"does not say what {name} determines", "give as many numbers"
+        raise FieldError(f"KaneSystem.{of}", chosen, problem, remedy)
     return motion(f"KaneSystem.{name}", function, (len(chosen),))
 
 
