@@ -6,6 +6,7 @@ from typing import TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.consistency import spin_stopped
@@ -26,8 +27,6 @@ from ..geometry.small_linear import (
 from .mode_rates import ModeRates, not_zero, picked
 from .modes import HybridState, Mode, of, slipping
 
-# Of a speed or a force: less is rounding
-_HELD = 1e-9
 FOLLOWED = 1e3 * SMALLEST_SLIP  # [m/s]: a faster slip has its own direction
 # Mode, direction of the slip, and state.
 Begun: TypeAlias = tuple[Int[Array, ""], Float[Array, "3"], HybridState]
@@ -99,7 +98,7 @@ class Motion(ModeRates):
         if self.modes.lifts:
             flying = picked(flies, flying, self._lifted(t, y))
         if self.modes.friction is None:
-            touching = self._without_slip(touching, y)
+            touching = self._without_slip(t, touching, y)
         speed = safe_norm(touching.slip)
         slips = speed > 0.0
         stays, way, gripped = self.settled(t, touching)
@@ -127,18 +126,21 @@ class Motion(ModeRates):
         now = at_contact(scene, t, y.rolling())
         free = slipping(scene, jnp.zeros_like(t), now.out, y, follows=True, turns=False)
         needed = at_contact(free, t, y.sliding()).press  # to stay without friction
-        falls = rolling_derivative(self.scenes.flying, t, flying.flying()).velocity
+        falls = of(rolling_derivative(self.scenes.flying, t, flying.flying())).velocity
         known = jnp.abs(now.press) + safe_norm(now.pull)
         known = known + scene.body.mass * safe_norm(falls)
-        return _jammed(flying, needed > _HELD * known)
+        return _jammed(flying, needed > _half_the_digits(t) * known)
 
-    def _without_slip(self, touching: HybridState, y: HybridState) -> HybridState:
+    def _without_slip(
+        self, t: Float[Array, ""], touching: HybridState, y: HybridState
+    ) -> HybridState:
         """What never slips touches without slip, but for rounding; else it is lost.
 
         A landing may end while it slips, however much friction there is: that throws
         the body off where it is eccentric.
         """
-        slips = safe_norm(touching.slip) > _HELD * safe_norm(y.velocity)
+        rounding = _half_the_digits(t) * safe_norm(y.velocity)
+        slips = safe_norm(touching.slip) > rounding
         still = eqx.tree_at(lambda y: y.slip, touching, jnp.zeros_like(touching.slip))
         return _jammed(still, slips)
 
@@ -239,6 +241,11 @@ class Motion(ModeRates):
             # no friction looks for a way: a slip has its own at once, and rest has none
             way = jnp.where(sticks, way, now.out)
         return mode, way, y
+
+
+def _half_the_digits(x: Array) -> float:
+    """Less than this share of a force or of a speed is rounding."""
+    return float(np.finfo(x.dtype).eps) ** 0.5
 
 
 def _jammed(y: HybridState, jams: Bool[Array, ""]) -> HybridState:
