@@ -240,6 +240,39 @@ def test_a_landing_that_lifts_off_at_once():
     np.testing.assert_allclose(reverse, expected, rtol=0.0, atol=PROMISED)
 
 
+def test_a_start_that_lifts_off_at_once():
+    """On a plate that falls faster than the body: by the times of start and end.
+
+    It flies from the start on, with the plate's velocity; the change's time is that.
+    """
+    A, w, g = 0.1, 20.0, 9.81
+    plate = lambda t: A * jnp.sin(w * t)
+    moves = lambda t: jnp.stack([0.0 * t, 0.0 * t, plate(t)])
+    ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    scene = rk.Scene(ball, rk.Base(rk.Plane(), rk.BaseMotion(moves)))
+    modes = rk.Modes(friction=0.3)
+
+    def found(times):
+        start = rk.place(scene, UP, STILL, STILL, time=times[0])
+        run = rk.simulate(scene, start, times, modes=modes, rtol=1e-11)
+        ends = run.position[-1, 2], run.velocity[-1, 2]
+        return jnp.stack([run.switches.time[0], *ends])
+
+    def known(times):
+        begin, left = times[0], times[1] - times[0]
+        pace = jax.grad(plate)(begin)
+        rise = pace * left - 0.5 * g * left**2
+        return jnp.stack([begin, 0.1 + plate(begin) + rise, pace - g * left])
+
+    times = jnp.array([0.07, 0.12])
+    expected = jax.jacfwd(known)(times)
+    # numbers up to 30 of runs at rtol 1e-11: 3e-10
+    np.testing.assert_allclose(found(times), known(times), rtol=0.0, atol=PROMISED)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        slope = derivative(found)(times)
+        np.testing.assert_allclose(slope, expected, rtol=0.0, atol=PROMISED)
+
+
 def test_the_direction_of_a_slip_that_has_just_begun():
     """A plate whose acceleration a turns: F = mu m g a / |a| from the onset on.
 
