@@ -282,6 +282,7 @@ def _values(
     Of the body that rolls in it, where a path to one is given.
     """
     states: Any = motion
+    # an orientation has four numbers, and little has more
     outputs = max(np.size(x) for x in jax.tree.leaves(states.state)) // 4
     return (_of_many if outputs > _MANY else _of_few)(motion, names, path)
 

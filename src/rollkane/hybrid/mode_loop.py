@@ -26,7 +26,7 @@ from .mode_rates import picked
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode
 from .step_trial import Run, Trials, Tried, Verdict
-from .transitions import Begun, jams
+from .transitions import Begun
 from .user_events import (
     Look,
     Watched,
@@ -62,7 +62,7 @@ class Loop(Trials):
         slid, after = self._behind(at, tried, verdict)
         falls_flat = verdict.event & self.lies_on_face(at, tried)
         lost = verdict.event & ~falls_flat & ~jnp.all(jnp.isfinite(pack(after.y)))
-        jammed = lost & jams(after.y)
+        jammed = lost & self.motion.jams(after.y)
         # where nothing follows the run ends on the event, as it came there
         ends = falls_flat | lost
         event = verdict.event & ~ends

@@ -360,7 +360,8 @@ class Trials(eqx.Module):
         tiny: Float[Array, ""],
     ) -> Array:
         """How long the step behind one that stands is tried."""
-        # behind a change shorter ones would see rounding, and take it for another
+        # behind a change shorter ones would see rounding, and take it for another: of
+        # this one six digits are above that of the clock
         step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
         step = jnp.where(tried.lands, jnp.maximum(step, c.step), step)
         settles = longest_step(c.place, c.values[0], tried.t, tried.end)

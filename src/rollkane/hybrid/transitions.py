@@ -85,7 +85,7 @@ class Motion(ModeRates):
         """Mode, direction and state after an event, if one happens.
 
         Where the contact is lost (kind 1) nothing else counts. Of a body that never
-        slips, where it can neither roll nor leave (:func:`jams`) the slip is NaN.
+        slips, where it can neither roll nor leave (:meth:`jams`) the slip is NaN.
         """
         rolls, flies = mode == Mode.ROLLING, mode == Mode.FLYING
         still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
@@ -143,6 +143,13 @@ class Motion(ModeRates):
         slips = safe_norm(touching.slip) > rounding
         still = eqx.tree_at(lambda y: y.slip, touching, jnp.zeros_like(touching.slip))
         return _jammed(still, slips)
+
+    def jams(self, y: HybridState) -> Bool[Array, ""] | bool:
+        """Whether a body that never slips can neither roll nor leave, where it came."""
+        if self.modes.friction is not None:
+            return False
+        known = jnp.all(jnp.isfinite(y.angular_velocity))
+        return known & jnp.any(jnp.isnan(y.slip))
 
     def _hit(
         self, t: Float[Array, ""], y: HybridState, happens: Bool[Array, ""]
@@ -252,9 +259,3 @@ def _jammed(y: HybridState, jams: Bool[Array, ""]) -> HybridState:
     """A state whose slip is NaN, if it jams."""
     slip = jnp.where(jams, jnp.nan, y.slip)
     return eqx.tree_at(lambda y: y.slip, y, slip)
-
-
-def jams(y: HybridState) -> Bool[Array, ""]:
-    """Whether a body that never slips came to where it can neither roll nor leave."""
-    known = jnp.all(jnp.isfinite(y.angular_velocity))
-    return known & jnp.any(jnp.isnan(y.slip))
