@@ -13,12 +13,12 @@ import equinox as eqx
 import jax
 import jax.extend.core
 import jax.numpy as jnp
-import numpy as np
 from jax.core import eval_context
 
 from ..validation.checks import is_traced
 from ..validation.remembered import holds_no_numpy, remembered
 from .evaluation import evaluated
+from .outer_derivatives import OuterDerivatives, with_no_numpy
 from .scalar_program import NotElementwiseError
 from .tracing import not_collecting
 
@@ -72,7 +72,7 @@ def _on_its_own(
     """The function, compiled with an effort where it is a program of its own."""
     function = not_collecting()(function)
     compiled = _with_effort(functools.partial(jit, function), effort)
-    plain: Any = eqx.filter_jit(function)
+    differentiated = _differentiated(function, effort)
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
     long: set[Fixed] = set()  # forms of arguments of which it is not so short
 
@@ -93,7 +93,7 @@ def _on_its_own(
         if traced and inside:
             return function(*arguments)
         if traced and not _only_mapped(arguments):
-            return plain(*arguments)  # derivatives take no options of the compiler
+            return differentiated(*arguments)
         if not inside:
             return compiled(*arguments)
         # known arguments in the middle of a trace: outside of it all the same, as a
@@ -184,6 +184,7 @@ def around_a_loop(
     """
     function = not_collecting()(function)
     plain = jit(function)
+    differentiated = _differentiated(function, _LITTLE)
     quick = with_little_effort(functools.partial(jit, function))
 
     # of each form, how often it was differentiated inside of another program
@@ -198,14 +199,16 @@ def around_a_loop(
         now = None if _state is None else _state()
         # what is known already is known in a twentieth of the time
         if now is None or now != outside:
-            inside = is_traced(jnp.zeros(()))
-            differentiated = inside and _is_differentiated(arguments)
+            inside, traced = is_traced(jnp.zeros(())), is_traced(arguments)
+            moves = inside and _is_differentiated(arguments)
             # a second time JAX remembers what the jitted one was
-            if differentiated and not next(times(_form_of(arguments))):
-                return function(*_with_no_numpy(arguments))
-            if inside or is_traced(arguments):
+            if moves and not next(times(_form_of(arguments))):
+                return function(*with_no_numpy(arguments))
+            if inside:
                 return plain(*arguments)
-            outside = now
+            if traced and not _only_mapped(arguments):
+                return differentiated(*arguments)
+            outside = None if traced else now
         try:
             return quick(*arguments)
         except ValueError as error:
@@ -227,6 +230,11 @@ def with_little_effort(jit: Callable[..., Callable[..., Any]]) -> Callable[..., 
     To be called outside of ``jit`` and of derivatives.
     """
     return _with_effort(jit, _LITTLE)
+
+
+def _differentiated(function: Callable[..., Any], effort: _Effort) -> OuterDerivatives:
+    """The function within a derivative outside of ``jit``, its parts with an effort."""
+    return OuterDerivatives(function, lambda f: _on_its_own(f, eqx.filter_jit, effort))
 
 
 def _with_effort(
@@ -271,14 +279,6 @@ def _form_of(arguments: Any) -> Any:
         (x.shape, x.dtype) if is_array else x
         for x, is_array in zip(leaves, arrays, strict=True)
     )
-
-
-def _with_no_numpy(arguments: Any) -> Any:
-    """As a jitted function sees them."""
-    known: Callable[[Any], Any] = lambda x: (
-        jnp.asarray(x) if isinstance(x, np.ndarray) else x
-    )
-    return jax.tree.map(known, arguments)
 
 
 def _only_mapped(arguments: Any) -> bool:
