@@ -34,10 +34,10 @@ from .linearization import Linearization as Linearization
 from .linearization import linearize as linearize
 from .motion import KaneTrajectory as KaneTrajectory
 from .motion import simulate as simulate
+from .parts import Load as Load
+from .parts import Particle as Particle
+from .parts import RigidBody as RigidBody
 from .rolling_scene import kane_state as kane_state
 from .rolling_scene import rolling_system as rolling_system
 from .system import KaneState as KaneState
 from .system import KaneSystem as KaneSystem
-from .system import Load as Load
-from .system import Particle as Particle
-from .system import RigidBody as RigidBody

@@ -16,7 +16,8 @@ from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError
 from .partial_velocities import Velocities, values_of
-from .system import KaneState, KaneSystem, RigidBody
+from .parts import RigidBody
+from .system import KaneState, KaneSystem
 
 # A derivative is a sum of products: a hundred roundings of it are 2e-14, 1e-5 in single
 # precision; as often as the speeds are large, where their squares cancel in it. c u^2

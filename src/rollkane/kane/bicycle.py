@@ -15,7 +15,8 @@ from jaxtyping import Array, Float
 
 from ..geometry.rotations import about_axis
 from ..geometry.small_linear import cross
-from .system import KaneState, KaneSystem, Load, RigidBody
+from .parts import Load, RigidBody
+from .system import KaneState, KaneSystem
 
 LEAN_AND_STEER = (3, 5)  # coordinates, for ``linearize``
 
@@ -82,14 +83,11 @@ def whipple_bicycle(bicycle: Bicycle | None = None) -> KaneSystem:
         bicycle: Dimensions and masses, the system's parameters; None for the benchmark.
     """
     bicycle = Bicycle() if bicycle is None else bicycle
-    rear, front = bicycle.rear_moments, bicycle.front_moments
     parts = [
-        RigidBody(bicycle.rear_mass, _of_wheel(rear), _rear, _rear_spin),
-        RigidBody(
-            bicycle.frame_mass, _matrix(bicycle.frame_inertia), _frame, _frame_spin
-        ),
-        RigidBody(bicycle.fork_mass, _matrix(bicycle.fork_inertia), _fork, _fork_spin),
-        RigidBody(bicycle.front_mass, _of_wheel(front), _front, _front_spin),
+        RigidBody(_Mass("rear_mass"), _Moments("rear_moments"), _rear, _rear_spin),
+        RigidBody(_Mass("frame_mass"), _Inertia("frame_inertia"), _frame, _frame_spin),
+        RigidBody(_Mass("fork_mass"), _Inertia("fork_inertia"), _fork, _fork_spin),
+        RigidBody(_Mass("front_mass"), _Moments("front_moments"), _front, _front_spin),
     ]
     weights = [Load(part.velocity, _Weight(part.mass)) for part in parts]
     return KaneSystem(
@@ -242,20 +240,40 @@ def _steer_torque(t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
     return now.bicycle.steer_torque * now.steer_axis
 
 
+class _Of(eqx.Module):
+    """A field of a bicycle."""
+
+    name: str = eqx.field(static=True)
+
+
+class _Mass(_Of):
+    def __call__(self, bicycle: Bicycle) -> Array:
+        return jnp.asarray(getattr(bicycle, self.name))
+
+
+class _Inertia(_Of):
+    def __call__(self, bicycle: Bicycle) -> Float[Array, "3 3"]:
+        return _matrix(getattr(bicycle, self.name))
+
+
+class _Moments(_Of):
+    """Of a wheel."""
+
+    def __call__(self, bicycle: Bicycle) -> Float[Array, "3 3"]:
+        about_diameter, about_axle = (getattr(bicycle, self.name)[k] for k in (0, 1))
+        return _matrix((about_diameter, about_axle, about_diameter, 0.0))
+
+
 class _Weight(eqx.Module):
-    mass: Any
+    mass: _Mass
 
     def __call__(self, t: _Time, q: _Q, u: _U, now: _Posture) -> _Vector:
-        return self.mass * _vector(0.0, now.bicycle.gravity)
+        return self.mass(now.bicycle) * _vector(0.0, now.bicycle.gravity)
 
 
 def _vector(x: ArrayLike, z: ArrayLike) -> _Vector:
     """In the plane of symmetry."""
     return jnp.stack([jnp.asarray(a, float) for a in (x, 0.0, z)])
-
-
-def _of_wheel(moments: Sequence[ArrayLike] | Array) -> Float[Array, "3 3"]:
-    return _matrix((moments[0], moments[1], moments[0], 0.0))
 
 
 def _matrix(entries: Sequence[ArrayLike] | Array) -> Float[Array, "3 3"]:

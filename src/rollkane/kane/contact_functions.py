@@ -23,7 +23,8 @@ from .contact_rates import (
     moving,
     velocity_between,
 )
-from .system import KaneSystem, Load, Particle, RigidBody
+from .parts import Load, Particle, RigidBody
+from .system import KaneSystem
 
 
 class Instant(NamedTuple):

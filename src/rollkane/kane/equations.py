@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
-from .closure import kept_state
+from .closure import kept_state, kept_well
 from .implied_rows import while_they_follow
 from .linear_solves import followed, inverse_of, solved
 from .partial_velocities import (
@@ -29,7 +29,8 @@ from .partial_velocities import (
     partials_of,
     turning_parts,
 )
-from .system import KaneState, KaneSystem, Numbers, RigidBody
+from .parts import RigidBody
+from .system import KaneState, KaneSystem, Numbers
 
 
 class KaneEquations(NamedTuple):
@@ -151,6 +152,24 @@ def kinetic_energy(
     """
     partials = partials_of(system, as_time(t), state.q)
     return energy_of(system, partials, speeds_of(system, partials, state.u).u)
+
+
+def allowed_state(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
+    """The state that the constraints allow next to one: a motion's start.
+
+    Where speeds are chosen as dependent the others are free. Else all are in the state,
+    and what of them is not allowed would stay in it, and leak into what is, as the
+    constraints turn.
+
+    Args:
+        system: The system.
+        t: Time [s].
+        state: Coordinates and independent speeds.
+    """
+    if not system.by_multipliers:
+        return state
+    state = kept_well(system, t, state)
+    return KaneState(state.q, all_speeds(system, t, state))
 
 
 def all_speeds(
@@ -332,11 +351,12 @@ def _assembled(
     ):
         if isinstance(part, RigidBody):
             w, W, alpha = next(turnings)
-            moment = part.inertia @ alpha + cross(w, part.inertia @ w)
+            inertia = system.number(part.inertia)
+            moment = inertia @ alpha + cross(w, inertia @ w)
             inertia_force = inertia_force + W.T @ moment
             if part.own_axes:
                 a = a + cross(w, v)
-        inertia_force = inertia_force + part.mass * (V.T @ a)
+        inertia_force = inertia_force + system.number(part.mass) * (V.T @ a)
     fr = jnp.zeros_like(u)
     for by_speeds, load in zip(partials.by_speeds.on_loads, rates.loads, strict=True):
         fr = fr + by_speeds.T @ load

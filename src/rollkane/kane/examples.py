@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 from ..geometry.rotations import about_axis
 from ..geometry.small_linear import cross
 from ..validation.checks import FieldError
-from .system import KaneState, KaneSystem, Load, Motion, Numbers, RigidBody
+from .parts import Load, RigidBody
+from .system import KaneState, KaneSystem, Motion, Numbers
 
 # A parameter: a number, or an array without axes.
 Number: TypeAlias = float | Array

@@ -12,7 +12,8 @@ from jaxtyping import Array
 from ..geometry.rotations import quaternion_rates, rotation_matrix
 from ..validation.checks import FieldError, is_traced, real
 from .contact_system import Frame
-from .system import KaneSystem, Load, RigidBody
+from .parts import Load, RigidBody
+from .system import KaneSystem
 
 
 class FreeBodies(NamedTuple):

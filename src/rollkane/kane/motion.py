@@ -20,7 +20,13 @@ from ..integration.projection import KeepingEnergy
 from ..validation.checks import FieldError, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
-from .equations import all_speeds, kane_derivative, kinetic_energy, reactions
+from .equations import (
+    all_speeds,
+    allowed_state,
+    kane_derivative,
+    kinetic_energy,
+    reactions,
+)
 from .implied_rows import lost
 from .singular_states import refuse_start
 from .system import KaneState, KaneSystem
@@ -256,7 +262,7 @@ def _corners(system: KaneSystem) -> tuple[None, bool]:
     return None, False
 
 
-_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners)
+_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
 
 
 def _checked_start(system: KaneSystem, start: object) -> KaneState:

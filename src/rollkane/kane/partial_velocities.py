@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..validation.user_functions import GivenFunction
-from .system import KaneSystem, RigidBody
+from .parts import RigidBody
+from .system import KaneSystem
 
 
 class Velocities(NamedTuple):
@@ -92,8 +93,8 @@ def masses_of(system: KaneSystem, partials: Partials) -> Float[Array, "m m"]:
     for part, V in zip(system.parts, by_speeds.points, strict=True):
         if isinstance(part, RigidBody):
             W = next(turnings)
-            masses = masses + W.T @ (part.inertia @ W)
-        masses = masses + part.mass * (V.T @ V)
+            masses = masses + W.T @ (system.number(part.inertia) @ W)
+        masses = masses + system.number(part.mass) * (V.T @ V)
     return masses
 
 
@@ -104,10 +105,10 @@ def energy_of(
     twice = jnp.zeros((), u.dtype)
     turnings = iter(partials.at("turnings", u))
     for part, v in zip(system.parts, partials.at("points", u), strict=True):
-        twice = twice + part.mass * jnp.sum(v * v)
+        twice = twice + system.number(part.mass) * jnp.sum(v * v)
         if isinstance(part, RigidBody):
             w = next(turnings)
-            twice = twice + jnp.sum(w * (part.inertia @ w))
+            twice = twice + jnp.sum(w * (system.number(part.inertia) @ w))
     return 0.5 * twice
 
 

@@ -5,6 +5,7 @@ are carried: velocities of mass centres are written down, Kane's method does the
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
@@ -22,7 +23,8 @@ from ..geometry.small_linear import cross
 from ..kinematics.contact import Contact
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
-from .system import KaneState, KaneSystem, Load, Particle, RigidBody
+from .parts import Load, Particle, RigidBody
+from .system import KaneState, KaneSystem
 
 _Time: TypeAlias = Float[Array, ""]
 _Q: TypeAlias = Float[Array, " n"]
@@ -58,10 +60,10 @@ def rolling_system(scene: Scene, like: State, reactions: bool = False) -> KaneSy
     refuse_feedback("rolling_system.scene", scene)
     count = scene.coordinate_count
     shared = _Shared(_places(like), reactions)
-    parts: list[Any] = [RigidBody(scene.body.mass, scene.body.inertia, _of_body, _spin)]
+    parts: list[Any] = [RigidBody(_mass, _inertia, _of_body, _spin)]
     carried = _carried(scene, jnp.zeros((), like.alpha.dtype), like)
     for k, part in enumerate(carried):
-        parts += _carried_parts(k, part)
+        parts += _carried_parts(k, part, like)
     return KaneSystem(
         pack(shared.places).shape[0],
         3 + count,
@@ -159,14 +161,47 @@ def _of_point(
     return now.at_contact + now.contact.rotation @ v
 
 
-def _carried_parts(k: int, carried: Carried) -> list[Particle | RigidBody]:
+def _mass(scene: Scene) -> Array:
+    return scene.body.mass
+
+
+def _inertia(scene: Scene) -> Float[Array, "3 3"]:
+    return scene.body.inertia
+
+
+def _carried_parts(k: int, carried: Carried, like: State) -> list[Particle | RigidBody]:
     """The masses of the k-th supported part."""
-    masses = carried.mass
+    count = carried.mass.shape[0]
+    masses = [_CarriedMass(like, k, i) for i in range(count)]
     if not carried.turnings:
-        return [Particle(masses[i], _OfCarried(k, i)) for i in range(masses.shape[0])]
-    (turning,) = carried.turnings
-    inertia = turning.rotation.T @ turning.inertia @ turning.rotation
+        return [Particle(mass, _OfCarried(k, i)) for i, mass in enumerate(masses)]
+    inertia = _CarriedInertia(like, k, 0)
     return [RigidBody(masses[0], inertia, _OfCarried(k, 0), _CarriedSpin(k))]
+
+
+class _Carried(eqx.Module):
+    """What of the i-th mass of the k-th part is the same in every state."""
+
+    like: State
+    k: int = eqx.field(static=True)
+    i: int = eqx.field(static=True)
+
+    def of(self, scene: Scene) -> Carried:
+        """That part, in some state."""
+        return _carried(scene, jnp.zeros((), self.like.alpha.dtype), self.like)[self.k]
+
+
+class _CarriedMass(_Carried):
+    def __call__(self, scene: Scene) -> Array:
+        return self.of(scene).mass[self.i]
+
+
+class _CarriedInertia(_Carried):
+    """On its own axes."""
+
+    def __call__(self, scene: Scene) -> Float[Array, "3 3"]:
+        (turning,) = self.of(scene).turnings
+        return turning.rotation.T @ turning.inertia @ turning.rotation
 
 
 class _OfCarried(eqx.Module):
@@ -204,11 +239,11 @@ def _loads(scene: Scene, parts: list[Any]) -> list[Load]:
 class _Weight(eqx.Module):
     """Of a mass, fixed axes."""
 
-    mass: Array
+    mass: Callable[[Scene], Array]
 
     def __call__(self, t: _Time, q: _Q, u: _U, now: _Instant) -> _Vector:
         field: Any = field_of(now.scene.loads)
-        return self.mass * field
+        return self.mass(now.scene) * field
 
 
 class _Force(eqx.Module):

@@ -16,61 +16,14 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..dynamics.bodies import checked_inertia
-from ..validation.checks import FieldError, positive
+from ..validation.checks import FieldError
 from ..validation.user_functions import GivenFunction, as_floats, numbers_of
+from .parts import Load, Particle, RigidBody, Wrap, checked_load, checked_part
 
 # What a user gives for numbers: one, an array, sequences of them.
 Numbers: TypeAlias = ArrayLike | Sequence[Any]
 # A function of the user's of (t, q, u), and of the parameters if it takes them.
 Motion: TypeAlias = Callable[..., Any]
-# Wraps one: its field for errors, the function, the shape of its value.
-_Wrap: TypeAlias = Callable[[str, Any, tuple[int, ...]], GivenFunction]
-
-
-class Particle(eqx.Module):
-    """A point mass.
-
-    Attributes:
-        mass: [kg].
-        velocity: Function of (t, q, u) -> (3,) [m/s], FIXED axes.
-    """
-
-    mass: Any
-    velocity: Any
-
-
-class RigidBody(eqx.Module):
-    """A rigid body.
-
-    Attributes:
-        mass: [kg].
-        inertia: About its mass centre, on axes fixed in it [kg m^2], shape (3, 3).
-        velocity: Of its mass centre, function of (t, q, u) -> (3,) [m/s].
-        angular_velocity: Function of (t, q, u) -> (3,) [rad/s], on ITS OWN axes.
-        own_axes: Whether ``velocity`` is on the body's own axes, too; else on fixed.
-    """
-
-    mass: Any
-    inertia: Any
-    velocity: Any
-    angular_velocity: Any
-    own_axes: bool = eqx.field(static=True, default=False)
-
-
-class Load(eqx.Module):
-    """A force with the velocity of its point of action, or a torque with what it turns.
-
-    Both are on the same axes, whichever.
-
-    Attributes:
-        velocity: Of the point, or angular velocity of the body: function of (t, q, u)
-            -> (3,) [m/s] or [rad/s].
-        load: Function of (t, q, u) -> (3,) [N] or [N m].
-    """
-
-    velocity: Any
-    load: Any
 
 
 class KaneSystem(eqx.Module):
@@ -168,7 +121,9 @@ class KaneSystem(eqx.Module):
                 unit of the integral of the speed], the auxiliary ones last: what is
                 easier said in coordinates than by points (springs, dampers, motors).
             parameters: Tree of numbers; given to each function that takes a fourth
-                argument (None without).
+                argument (None without), and to masses and inertias that are functions.
+                A number of theirs that is also given to a part as it is stays behind
+                where the parameters are varied.
             shared: Function of (t, q, u, parameters) -> what several of the others
                 need (rotations, a contact): evaluated once, and given to them in
                 place of the parameters.
@@ -201,11 +156,11 @@ class KaneSystem(eqx.Module):
 
         self.kinematics = motion("KaneSystem.kinematics", kinematics, (coordinates,))
         self.parts = tuple(
-            _checked_part(f"KaneSystem.parts[{k}]", part, motion)
+            checked_part(f"KaneSystem.parts[{k}]", part, motion, self.parameters)
             for k, part in enumerate(parts)
         )
         self.loads = tuple(
-            _checked_load(f"KaneSystem.loads[{k}]", load, motion)
+            checked_load(f"KaneSystem.loads[{k}]", load, motion)
             for k, load in enumerate(loads)
         )
         self.generalized_forces = None
@@ -255,6 +210,12 @@ class KaneSystem(eqx.Module):
         """The value of one of its functions."""
         return function(t, q, u, self.more(t, q, u))
 
+    def number(self, given: Any) -> Array:
+        """A mass or an inertia of a part, whichever way it is given."""
+        if not isinstance(given, GivenFunction):
+            return given
+        return given(self.parameters, None)
+
     @property
     def constraint_count(self) -> int:
         """How many velocity constraints there are, whatever they determine."""
@@ -288,31 +249,6 @@ class KaneState(eqx.Module):
     u: Float[Array, " m"]
 
 
-def _checked_part(field: str, part: object, motion: _Wrap) -> Particle | RigidBody:
-    if not isinstance(part, (Particle, RigidBody)):
-        raise FieldError(
-            field, part, "is no part of a system", "give Particle or RigidBody"
-        )
-    mass = positive(f"{field}.mass", part.mass, (), "the mass in kg")
-    velocity = motion(f"{field}.velocity", part.velocity, (3,))
-    if isinstance(part, Particle):
-        return Particle(mass, velocity)
-    turning = motion(f"{field}.angular_velocity", part.angular_velocity, (3,))
-    inertia = checked_inertia(f"{field}.inertia", part.inertia, thin=True)
-    return RigidBody(mass, inertia, velocity, turning, part.own_axes)
-
-
-def _checked_load(field: str, load: object, motion: _Wrap) -> Load:
-    if not isinstance(load, Load):
-        raise FieldError(
-            field, load, "is no load", "give Load(velocity, force) or Load(w, torque)"
-        )
-    return Load(
-        motion(f"{field}.velocity", load.velocity, (3,)),
-        motion(f"{field}.load", load.load, (3,)),
-    )
-
-
 def _chosen(name: str, numbers: Iterable[int], count: int) -> tuple[int, ...]:
     """Different numbers of speeds or coordinates."""
     chosen = tuple(int(k) for k in numbers)
@@ -327,7 +263,7 @@ def _chosen(name: str, numbers: Iterable[int], count: int) -> tuple[int, ...]:
 
 
 def _bound(
-    motion: _Wrap,
+    motion: Wrap,
     name: str,
     function: Motion | None,
     of: str,
