@@ -201,7 +201,7 @@ class _Runs(NamedTuple):
         NaN would keep the step controller going for ever: of anything spoilt it is
         zero, and the run stops there.
         """
-        t, start = jax.lax.stop_gradient(inputs.times[0]), inputs.start
+        t, start = inputs.times[0], inputs.start
         start = of(consistent(inputs.scene.in_modes.rolling, t, start))
         good = self.fault(inputs)[0] == NO_FAULT
         clear: Callable[[Array], Array] = lambda x: cleared(x, good)
