@@ -1,11 +1,13 @@
 """Whipple's bicycle against published numbers."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+import rollkane as rk
 from rollkane import kane
 from rollkane.codegen.compile_effort import for_one_call
 
@@ -106,3 +108,35 @@ def test_matrices_have_derivatives_by_the_trail():
     high, low = along(trail + step)[0], along(trail - step)[0]
     # a second difference of a smooth function of size 100: 1e-8 of the slope
     np.testing.assert_allclose(along(trail)[1], (high - low) / (2 * step), rtol=1e-6)
+
+
+@pytest.mark.parametrize("field", ["frame_mass", "rear_moments", "fork_inertia"])
+def test_masses_are_varied_with_the_parameters(field):
+    """Was: copies in the parts stayed behind, and the derivatives were zero."""
+    made, state = kane.Bicycle(), kane.bicycle_state(5.0)
+    value = jnp.asarray(getattr(made, field))
+    leans = eqx.tree_at(lambda s: s.q, state, state.q.at[3].set(0.1))
+
+    def rates(value):
+        bicycle = eqx.tree_at(lambda b: getattr(b, field), made, value)
+        return kane.kane_derivative(kane.whipple_bicycle(bicycle), 0.0, leans).u
+
+    system = kane.whipple_bicycle(eqx.tree_at(lambda b: getattr(b, field), made, value))
+    found = kane.linearize(system, 0.0, leans, inputs=lambda b: getattr(b, field)).B
+    right = jax.jacfwd(rates)(value).reshape(3, -1)
+    # the same numbers in another order: rounding of inertias up to 11 kg m^2
+    np.testing.assert_allclose(found[-3:], right, rtol=1e-9, atol=1e-11)
+    assert np.abs(right).max() > 1e-3
+
+
+def test_a_family_over_a_mass_is_one_of_other_bicycles():
+    system, state = kane.whipple_bicycle(), kane.bicycle_state(5.0)
+    motion = rk.steady_motion(system, state, ("u[2]",))
+    branch = rk.steady_family(system, motion, "parameters.frame_mass", (84.0, 86.0))
+    last = branch.points[-1]
+    other = kane.whipple_bicycle(kane.Bicycle(frame_mass=86.0))
+    right = kane.linearize(other, 0.0, state, kane.LEAN_AND_STEER, (1, 3)).A
+    right = np.sort_complex(np.linalg.eigvals(right))
+    found = np.sort_complex(np.asarray(last.eigenvalues))
+    for value in right:  # the model of the family has more, of yaw and forward speed
+        assert np.abs(found - value).min() < 1e-8 * np.abs(right).max()

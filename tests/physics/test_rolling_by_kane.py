@@ -1,5 +1,8 @@
 """Bodies that roll on bodies, by contacts between free bodies: a third way."""
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -48,3 +51,32 @@ def test_contacts_of_free_bodies_agree_for_five_seconds(kind, turn):
     found = np.asarray(rolling.forces(run.time, run.state).force)
     error = np.abs(np.swapaxes(found, 0, 1) - np.asarray(forces)).max()
     assert error < 1e-7 * np.abs(found).max()
+
+
+def test_masses_of_a_scene_are_parameters_of_its_system():
+    """Of the body and of what it carries: by the core's own derivatives."""
+    part = rk.SupportedBody(
+        0.5,
+        np.diag([0.002, 0.003, 0.004]),
+        lambda a: jnp.stack([0.0 * a[0], 0.05 + a[0], 0.02 + 0.0 * a[0]]),
+        lambda a: jnp.eye(3) + 0.0 * a[0],
+        coordinates=1,
+    )
+    solid = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1), (0.0, 0.02, 0.01))
+    scene = rk.Scene(solid, supported=part)
+    rest = {"alpha": [0.01], "alpha_dot": [0.3]}
+    state = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (1.0, 5.0, 2.0), np.zeros(3), **rest)
+    system = kane.rolling_system(scene, state)
+    chosen = lambda s: (s.body.mass, s.body.inertia, s.supported[0].mass)
+    found = kane.linearize(system, 0.0, kane.kane_state(state), inputs=chosen).B
+
+    def rates(numbers):
+        changed = eqx.tree_at(chosen, scene, numbers)
+        dot = rk.rolling_derivative(changed, 0.0, state)
+        return jnp.concatenate([dot.angular_velocity, dot.alpha_dot])
+
+    columns = jax.jacfwd(rates)(chosen(scene))
+    right = jnp.concatenate([x.reshape(4, -1) for x in columns], axis=1)
+    # an inertia is symmetric: of two entries the system may use either
+    np.testing.assert_allclose(found[-4:, [0, 1, 5, 9, 10]], right[:, [0, 1, 5, 9, 10]],
+                               rtol=1e-9, atol=1e-10)  # fmt: skip

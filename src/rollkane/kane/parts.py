@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import equinox as eqx
-import jax
 from jaxtyping import Array
 
 from ..dynamics.bodies import checked_inertia
@@ -95,7 +94,7 @@ def _number(
     of = GivenFunction(field, given, shape, (parameters,), None, meaning)
     now = checked(field, of(parameters, None))
     if is_traced(now):  # what is known was refused, or can be
-        of = _Spoilt(of, now - jax.lax.stop_gradient(now))
+        of = _Spoilt(of, now - now)
         of = GivenFunction(field, of, shape, (parameters,), None, meaning)
     return of
 
