@@ -89,14 +89,12 @@ def system_of(scene, t, state, slips, rubber, force, moment):
     def no_spin(t, q, u, now):
         return (now.contact.normal @ now.contact.relative_angular_velocity)[None]
 
-    body = scene.body
+    numbers = rolling_scene._mass, rolling_scene._inertia
     parts = [
-        kane.RigidBody(
-            body.mass, body.inertia, rolling_scene._of_body, rolling_scene._spin
-        )
+        kane.RigidBody(*numbers, rolling_scene._of_body, rolling_scene._spin),
     ]
     for k, part in enumerate(rolling_scene._carried(scene, t, state)):
-        parts += rolling_scene._carried_parts(k, part)
+        parts += rolling_scene._carried_parts(k, part, state)
     loads = [
         *rolling_scene._loads(scene, parts),
         kane.Load(rolling_scene._of_contact, lambda t, q, u: force),

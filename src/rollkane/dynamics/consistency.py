@@ -5,7 +5,7 @@ that a motion obeys them if its start does: it is made consistent once, there.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -118,8 +118,20 @@ def looseness(dtype: DTypeLike) -> float:
     return 1e-6 if dtype == jnp.float64 else 1e-3
 
 
-def spin_stopped(scene: Scene, t: Float[Array, ""], state: State) -> State:
-    """The state behind an impulsive torque about the normal that ends the spin.
+class StoppedSpin(NamedTuple):
+    """A body on rubber behind the end of its spin.
+
+    Attributes:
+        state: Without a spin.
+        torque: Impulse that ended it [N m s], BODY axes, along the normal.
+    """
+
+    state: State
+    torque: Float[Array, "3"]
+
+
+def spin_stopped(scene: Scene, t: Float[Array, ""], state: State) -> StoppedSpin:
+    """What is behind an impulsive torque about the normal that ends the spin.
 
     As where a body that slips grips on rubber: the impulse ``lambda N`` changes all
     velocities by ``A^-1 N lambda``, with the mass matrix A, so that
@@ -137,6 +149,8 @@ def spin_stopped(scene: Scene, t: Float[Array, ""], state: State) -> State:
     normal = components(contact.normal)
     others = [jnp.zeros_like(normal[0])] * (len(rows) - 3)
     change = jnp.stack(solve_spd(rows, [*normal, *others]))
-    change = change * (-spin / dot(contact.normal, change[:3]))
+    size = -spin / dot(contact.normal, change[:3])
+    change = change * size
     parts = state.angular_velocity + change[:3], state.alpha_dot + change[3:]
-    return eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), state, parts)
+    state = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), state, parts)
+    return StoppedSpin(state, size * contact.normal)

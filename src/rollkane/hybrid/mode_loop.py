@@ -93,7 +93,7 @@ class Loop(Trials):
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
         code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
-        code = jnp.where(jammed, Code.PAINLEVE, code)
+        code = jnp.where(jammed, self.motion.code_of_jam, code)
         values = self.values_after(c, end.values, event, after, verdict.blinks)
         path = c.path.after(shown, happens, at.mode, *after)
         if look is not None:

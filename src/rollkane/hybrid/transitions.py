@@ -17,13 +17,16 @@ from ..dynamics.impacts import Rebound, impact
 from ..dynamics.mass_matrix import assemble
 from ..dynamics.rolling import at_contact, contact_of, rolling_derivative
 from ..geometry.small_linear import (
+    components,
     cross,
     dot,
     matvec,
     matvec_transposed,
     safe_norm,
     sign,
+    solve_spd,
 )
+from ..validation.codes import Code
 from .mode_rates import ModeRates, not_zero, picked
 from .modes import HybridState, Mode, of, slipping
 
@@ -91,8 +94,10 @@ class Motion(ModeRates):
         still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
         y = picked(rolls, still, y)
         touching, flying, up = still, y, jnp.asarray(False)
+        impulse = None
         if self.lands:
             hit = self._hit(t, y, flies & happens)
+            impulse = jnp.where(flies, hit.impulse, 0.0)
             touching, up = picked(flies, of(hit.touching), still), hit.speed > 0.0
             flying = of(hit.flying)
         if self.modes.lifts:
@@ -101,7 +106,7 @@ class Motion(ModeRates):
             touching = self._without_slip(t, touching, y)
         speed = safe_norm(touching.slip)
         slips = speed > 0.0
-        stays, way, gripped = self.settled(t, touching)
+        stays, way, gripped = self.settled(t, touching, impulse)
         way = jnp.where(slips, touching.slip / not_zero(speed), way)
         stays = jnp.where(slips, Mode.SLIPPING, stays)
         stays = jnp.where(rolls, Mode.SLIPPING, stays)  # what ended was the grip
@@ -145,11 +150,21 @@ class Motion(ModeRates):
         return _jammed(still, slips)
 
     def jams(self, y: HybridState) -> Bool[Array, ""] | bool:
-        """Whether a body that never slips can neither roll nor leave, where it came."""
-        if self.modes.friction is not None:
+        """Whether a contact has no motion where it came: of its state the slip is NaN.
+
+        That of a body that never slips, and one that grips on rubber.
+        """
+        rubber = self.scenes.rolling.contact.without_spin
+        if self.modes.friction is not None and not rubber:
             return False
         known = jnp.all(jnp.isfinite(y.angular_velocity))
         return known & jnp.any(jnp.isnan(y.slip))
+
+    @property
+    def code_of_jam(self) -> int:
+        """What a run is told that ends there."""
+        never = self.modes.friction is None
+        return int(Code.PAINLEVE if never else Code.NEITHER_GRIPS_NOR_SLIPS)
 
     def _hit(
         self, t: Float[Array, ""], y: HybridState, happens: Bool[Array, ""]
@@ -225,16 +240,28 @@ class Motion(ModeRates):
             ),
         )
 
-    def settled(self, t: Float[Array, ""], y: HybridState) -> Begun:
+    def settled(
+        self,
+        t: Float[Array, ""],
+        y: HybridState,
+        impulse: Float[Array, "3"] | None = None,
+    ) -> Begun:
         """Mode of a contact without slip, where its slip begins, and how it rolls.
 
         It rolls if it is held, which without friction it is not even at rest; on rubber
-        an impulse ends its spin about the normal.
+        an impulse ends its spin about the normal. Where the contact cannot give that,
+        the slip is NaN.
+
+        Args:
+            t: Time [s].
+            y: State without slip.
+            impulse: Of a landing that it comes from [N s], FIXED axes.
         """
-        scene = self.scenes.rolling
+        scene, fails = self.scenes.rolling, None
         if scene.contact.without_spin:
             held = spin_stopped(scene, t, y.rolling())
-            parts = held.angular_velocity, held.alpha_dot
+            fails = ~self._holds(t, y, held.torque, impulse)
+            parts = held.state.angular_velocity, held.state.alpha_dot
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
         now = at_contact(scene, t, y.rolling())
         press, pull = now.press, now.pull
@@ -247,7 +274,42 @@ class Motion(ModeRates):
             mode = jnp.where(sticks & held, Mode.ROLLING, Mode.SLIPPING)
             # no friction looks for a way: a slip has its own at once, and rest has none
             way = jnp.where(sticks, way, now.out)
-        return mode, way, y
+        return mode, way, y if fails is None else _jammed(y, fails)
+
+    def _holds(
+        self,
+        t: Float[Array, ""],
+        y: HybridState,
+        torque: Float[Array, "3"],
+        landing: Float[Array, "3"] | None,
+    ) -> Bool[Array, ""]:
+        """Whether a contact can give the impulse that the end of a spin takes.
+
+        A torque ``K`` about the normal turns the body about its mass centre, and with
+        it the point that touches, by ``O^T K`` for one whose angular velocity an
+        impulse J changes by ``O J`` (the response is symmetric): to hold it takes
+        ``J = -G^-1 O^T K``, which has to push, and to lie in the friction cone.
+        """
+        scene, sliding = self.scenes.rolling, y.sliding()
+        contact = contact_of(scene, t, sliding)
+        system = assemble(scene, t, sliding, contact)
+        G, others = impulse_response(scene, contact, system)
+        moved = matvec_transposed(others[:3], torque)
+        rows = [components(row) for row in components(G)]
+        holds = -jnp.stack(solve_spd(rows, components(moved)))
+        arm = not_zero(safe_norm(contact.body_point))
+        known = safe_norm(torque) / arm  # of a centred body the whole is rounding
+        if landing is not None:
+            known = known + safe_norm(landing)
+            holds = holds + matvec_transposed(contact.rotation, landing)
+        slack = _half_the_digits(t) * known
+        press = -dot(contact.normal, holds)
+        along = safe_norm(holds + press * contact.normal)
+        if not self.modes.lifts:
+            press = jnp.abs(press)
+        if self.modes.sticking is None:
+            return press >= -slack
+        return along <= self.modes.sticking * jnp.maximum(press, 0.0) + slack
 
 
 def _half_the_digits(x: Array) -> float:

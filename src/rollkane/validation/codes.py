@@ -76,9 +76,10 @@ _REASONS = {
     Code.STOPPED: "an event with stop=True ended the run",
     Code.EVENT_NOT_FINITE: "an event's function gave NaN: nothing is known of it from "
     "final_time and final_state on",
-    Code.NEITHER_GRIPS_NOR_SLIPS: "rubber has no motion here: to roll without a spin "
-    "its contact needs more friction than there is, and free to spin it is held by "
-    "less; use Rolling(), or more friction",
+    Code.NEITHER_GRIPS_NOR_SLIPS: "rubber has no motion here: to roll without a spin, "
+    "or to end the spin with which it grips, its contact would have to pull or needs "
+    "more friction than there is, and free to spin it is held by less; use Rolling(), "
+    "or more friction",
     Code.NO_LONGER_REDUNDANT: "a constraint that followed from the others at the "
     "start, and was left out, does not follow from them any more: the motion up to "
     "here is right, and from here on the contacts leave less free, or nothing; go on "
