@@ -43,7 +43,9 @@ def steady_family(
     """The branch of steady motions through one of them.
 
     By pseudo-arclength continuation both ways, round folds, to the ends of the span,
-    or as far as ``Branch.ends`` says.
+    or as far as ``Branch.ends`` says. Two equal eigenvalues that pass zero together, as
+    where body and base are surfaces of revolution, are no simple crossing and are not
+    located: ``BranchPoint.eigenvalues`` come near to zero there.
 
     Args:
         scene: As for ``steady_motion``, of which ``motion`` is.
