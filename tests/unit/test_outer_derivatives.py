@@ -144,3 +144,16 @@ def test_backwards_only_what_is_used_is_asked_for():
     twice = for_one_call(lambda x: linear_call(both, [], [x], shapes_of([x, x])))
     assert jax.grad(lambda x: 3.0 * twice(x)[1])(2.0) == 3.0
     assert asked == [[False, True]]
+
+
+@pytest.mark.parametrize("quick", [for_one_call, lambda f: around_a_loop(f, jax.jit)])
+def test_what_is_traced_among_known_numbers_goes_by_jax(quick):
+    """Constants are known there, so that it does not look like within ``jit``."""
+    cube = quick(lambda x: x**3)
+
+    def known(x):
+        with jax.ensure_compile_time_eval():
+            return cube(x)
+
+    assert jax.jit(known)(2.0) == 8.0
+    assert jax.jit(jax.grad(known))(2.0) == 12.0

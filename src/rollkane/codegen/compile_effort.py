@@ -72,6 +72,7 @@ def _on_its_own(
     """The function, compiled with an effort where it is a program of its own."""
     function = not_collecting()(function)
     compiled = _with_effort(functools.partial(jit, function), effort)
+    plain: Any = eqx.filter_jit(function)
     differentiated = _differentiated(function, effort)
     outside: Any = None  # how JAX's state looks where nothing is traced, once known
     long: set[Fixed] = set()  # forms of arguments of which it is not so short
@@ -93,7 +94,8 @@ def _on_its_own(
         if traced and inside:
             return function(*arguments)
         if traced and not _only_mapped(arguments):
-            return differentiated(*arguments)
+            moves = _is_differentiated(arguments)
+            return differentiated(*arguments) if moves else plain(*arguments)
         if not inside:
             return compiled(*arguments)
         # known arguments in the middle of a trace: outside of it all the same, as a
@@ -200,14 +202,14 @@ def around_a_loop(
         # what is known already is known in a twentieth of the time
         if now is None or now != outside:
             inside, traced = is_traced(jnp.zeros(())), is_traced(arguments)
-            moves = inside and _is_differentiated(arguments)
+            moves = traced and _is_differentiated(arguments)
+            if moves and not inside:
+                return differentiated(*arguments)
             # a second time JAX remembers what the jitted one was
             if moves and not next(times(_form_of(arguments))):
                 return function(*with_no_numpy(arguments))
-            if inside:
+            if inside or (traced and not _only_mapped(arguments)):
                 return plain(*arguments)
-            if traced and not _only_mapped(arguments):
-                return differentiated(*arguments)
             outside = None if traced else now
         try:
             return quick(*arguments)

@@ -36,7 +36,7 @@ class _Programs(NamedTuple):
     linearized: _Function
     pushed: _Function
     pulled: _Function
-    by_jax: _Function  # as ``along``
+    by_jax: _Function  # as ``values``, of what is traced
 
 
 class OuterDerivatives:
@@ -62,7 +62,7 @@ class OuterDerivatives:
             linearized=made(functools.partial(_linearized, function)),
             pushed=made(_pushed),
             pulled=made(_pulled),
-            by_jax=functools.partial(_along, eqx.filter_jit(function)),
+            by_jax=eqx.filter_jit(function),
         )
 
     def __call__(self, *arguments: Any) -> Any:
@@ -84,16 +84,19 @@ class OuterDerivatives:
 
         @jax.custom_jvp
         def call(*leaves: Array) -> Any:
-            return shown(programs.values(*arguments_of(leaves)))
+            run = programs.by_jax if is_traced(leaves) else programs.values
+            return shown(run(*arguments_of(leaves)))
 
         def call_jvp(primals: Sequence[Array], tangents: Sequence[Any]) -> Any:
             moves = tuple(not isinstance(t, SymbolicZero) for t in tangents)
             live = list(compress(tangents, moves))
-            if is_traced(live) and not is_traced(primals):
-                values, changes = self._linear(arguments_of(primals), moves, live)
-            else:  # of what is a derivative or a batch itself, as JAX does it
-                run = programs.by_jax if is_traced(primals) else programs.along
-                values, changes = run(arguments_of(primals), moves, live)
+            given = arguments_of(primals)
+            if is_traced(primals):  # what is a derivative or a batch itself
+                values, changes = _along(programs.by_jax, given, moves, live)
+            elif is_traced(live):
+                values, changes = self._linear(given, moves, live)
+            else:
+                values, changes = programs.along(given, moves, live)
             given = shown(values)
             return given, _tangents(given, changes)
 
