@@ -110,17 +110,20 @@ class OuterDerivatives:
         """Tangents that may be asked for backwards."""
         programs = self._programs
         values, push = programs.linearized(arguments, moves)
-        residuals, tree = cast("tuple[list[Array], Any]", jax.tree.flatten(push))
+        arrays, fixed = _parted(push, eqx.is_array)
+        residuals, tree = cast("tuple[list[Array], Any]", jax.tree.flatten(arrays))
         sizes = shapes_of(live)
 
+        def push_of(residuals: Any) -> Any:
+            return eqx.combine(jax.tree.unflatten(tree, residuals), fixed)
+
         def forward(residuals: Any, operands: Any) -> list[Array]:
-            return programs.pushed(jax.tree.unflatten(tree, residuals), list(operands))
+            return programs.pushed(push_of(residuals), list(operands))
 
         def backward(residuals: Any, cotangents: Sequence[Array]) -> list[Array]:
             asked = tuple(is_asked_for(x) for x in cotangents)
             given: list[Array] = list(compress(cotangents, asked))
-            push = jax.tree.unflatten(tree, residuals)
-            return programs.pulled(push, sizes, asked, given)
+            return programs.pulled(push_of(residuals), sizes, asked, given)
 
         outputs = shapes_of(_floats(values))
         return values, linear_call(Linear(forward, backward), residuals, live, outputs)
@@ -196,7 +199,13 @@ def _linearized(
     of = _Moving(function, arguments, moves)
     linearize = cast("Callable[..., Any]", jax.linearize)
     floats, push, whole = linearize(of, *of.varied, has_aux=True)
+    # some releases leave what does not move in the function, out of the program's reach
+    push = eqx.filter_closure_convert(push, *_like(of.varied))
     return of.values(floats, whole), push
+
+
+def _like(arrays: Sequence[Array]) -> list[jax.ShapeDtypeStruct]:
+    return [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in arrays]
 
 
 def _pushed(push: Callable[..., Any], tangents: list[Array]) -> list[Array]:
