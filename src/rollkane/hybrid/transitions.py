@@ -97,7 +97,8 @@ class Motion(ModeRates):
         impulse = None
         if self.lands:
             hit = self._hit(t, y, flies & happens)
-            impulse = jnp.where(flies, hit.impulse, 0.0)
+            if self.scenes.rolling.contact.without_spin:
+                impulse = jnp.where(flies, hit.impulse, 0.0)
             touching, up = picked(flies, of(hit.touching), still), hit.speed > 0.0
             flying = of(hit.flying)
         if self.modes.lifts:
