@@ -138,5 +138,6 @@ def test_a_family_over_a_mass_is_one_of_other_bicycles():
     right = kane.linearize(other, 0.0, state, kane.LEAN_AND_STEER, (1, 3)).A
     right = np.sort_complex(np.linalg.eigvals(right))
     found = np.sort_complex(np.asarray(last.eigenvalues))
+    # motions are solved to 1e-10, and eigenvalues lose some ten of it
     for value in right:  # the model of the family has more, of yaw and forward speed
         assert np.abs(found - value).min() < 1e-8 * np.abs(right).max()

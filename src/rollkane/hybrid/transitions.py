@@ -88,7 +88,8 @@ class Motion(ModeRates):
         """Mode, direction and state after an event, if one happens.
 
         Where the contact is lost (kind 1) nothing else counts. Of a body that never
-        slips, where it can neither roll nor leave (:meth:`jams`) the slip is NaN.
+        slips, where it can neither roll nor leave, and of one that cannot grip on
+        rubber (:meth:`jams`) the slip is NaN.
         """
         rolls, flies = mode == Mode.ROLLING, mode == Mode.FLYING
         still = eqx.tree_at(lambda y: y.slip, y, jnp.zeros_like(y.slip))
@@ -260,9 +261,9 @@ class Motion(ModeRates):
         """
         scene, fails = self.scenes.rolling, None
         if scene.contact.without_spin:
-            held = spin_stopped(scene, t, y.rolling())
-            fails = ~self._holds(t, y, held.torque, impulse)
-            parts = held.state.angular_velocity, held.state.alpha_dot
+            still, torque = spin_stopped(scene, t, y.rolling())
+            fails = ~self._holds(t, y, torque, impulse)
+            parts = still.angular_velocity, still.alpha_dot
             y = eqx.tree_at(lambda s: (s.angular_velocity, s.alpha_dot), y, parts)
         now = at_contact(scene, t, y.rolling())
         press, pull = now.press, now.pull

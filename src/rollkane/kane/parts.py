@@ -68,7 +68,6 @@ def checked_part(
         raise FieldError(
             field, part, "is no part of a system", "give Particle or RigidBody"
         )
-
     mass = _number(f"{field}.mass", part.mass, _mass, (), parameters)
     velocity = motion(f"{field}.velocity", part.velocity, (3,))
     if isinstance(part, Particle):

@@ -175,28 +175,31 @@ def _carried_parts(k: int, carried: Carried, like: State) -> list[Particle | Rig
     masses = [_CarriedMass(like, k, i) for i in range(count)]
     if not carried.turnings:
         return [Particle(mass, _OfCarried(k, i)) for i, mass in enumerate(masses)]
-    inertia = _CarriedInertia(like, k, 0)
+    inertia = _CarriedInertia(like, k)
     return [RigidBody(masses[0], inertia, _OfCarried(k, 0), _CarriedSpin(k))]
 
 
-class _Carried(eqx.Module):
-    """What of the i-th mass of the k-th part is the same in every state."""
+class _OfPart(eqx.Module):
+    """What of the k-th part is the same in every state."""
 
     like: State
     k: int = eqx.field(static=True)
-    i: int = eqx.field(static=True)
 
     def of(self, scene: Scene) -> Carried:
         """That part, in some state."""
         return _carried(scene, jnp.zeros((), self.like.alpha.dtype), self.like)[self.k]
 
 
-class _CarriedMass(_Carried):
+class _CarriedMass(_OfPart):
+    """Its i-th mass."""
+
+    i: int = eqx.field(static=True)
+
     def __call__(self, scene: Scene) -> Array:
         return self.of(scene).mass[self.i]
 
 
-class _CarriedInertia(_Carried):
+class _CarriedInertia(_OfPart):
     """On its own axes."""
 
     def __call__(self, scene: Scene) -> Float[Array, "3 3"]:
