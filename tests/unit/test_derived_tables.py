@@ -37,6 +37,7 @@ NOT_IN_FILES = {
     "Revolution": {"poles", "rising"},  # found by evaluation
     "Parametric": {"of_direction"},  # formulas are of a pair
     "BaseMotion": {"kinks"},  # formulas have none
+    "Scene": {"kinks"},
     "RollingBody": {"torque", "parameters"},  # no formulas of a state
     "place": {"time"},  # runs of files begin at 0
 }

@@ -146,7 +146,7 @@ class Force(AbstractLoad):
         Args:
             force: Three components [N], FIXED axes; or ``force(t, point)`` or
                 ``force(t, point, parameters)`` of the time [s] and a ``PointMotion``,
-                that returns them.
+                that returns them. Times at which it jumps: ``Scene(kinks=)``.
             point: Material point of the body where it acts [m], body axes.
             parameters: Tree of numbers for the function, differentiable.
 

@@ -6,11 +6,13 @@ from typing import Any, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..geometry.small_linear import norm
 from ..geometry.surfaces import AbstractSurface
 from ..kinematics.voronets import CHART_EDGE, ChartContact
+from ..validation.checks import is_traced
 from ..validation.codes import Code, is_stuck
 from .abstract_supported import rolling_parts
 from .rolling import (
@@ -33,9 +35,15 @@ Unbroken: TypeAlias = Callable[[Scene, Array, Any], list[Array]]
 
 
 def corners(scene: Scene) -> tuple[Any, bool]:
-    """Kinks of the base's motion [s], and whether its acceleration may jump there."""
+    """Kinks of all that is a function of time [s], and whether rates may jump there."""
     motion = scene.base.motion
-    return (None, False) if motion is None else (motion.kinks, motion.jumps)
+    if motion is None or motion.kinks is None:
+        return scene.kinks, scene.kinks is not None
+    if scene.kinks is None:
+        return motion.kinks, motion.jumps
+    times = motion.kinks, scene.kinks
+    # known ones stay known inside of `jit`
+    return (jnp if is_traced(times) else np).concatenate(times), True
 
 
 def error_sizes(state: Any) -> Any:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar, cast
 
 import equinox as eqx
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..geometry.surfaces import AbstractSurface, Plane
 from ..kinematics.base_motion import AbstractBaseMotion
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, checked_kinks
 from ..validation.shown import described
 from .abstract_supported import AbstractSupported, rolling_parts, shares
 from .bodies import Body
@@ -167,6 +167,7 @@ class Scene(eqx.Module):
             coordinates in alpha.
         loads: What acts on it and on what it carries.
         contact: The contact law.
+        kinks: Times at which functions of time of its parts jump [s], or None.
         has_contact_coordinates: Whether the state holds the contact point on the body;
             False where it follows from the normal.
     """
@@ -176,6 +177,7 @@ class Scene(eqx.Module):
     supported: tuple[AbstractSupported, ...]
     loads: tuple[AbstractLoad, ...]
     contact: Rolling | Slipping | Flying
+    kinks: Float[Array, " k"] | None
     has_contact_coordinates: bool = eqx.field(static=True)
 
     def __init__(
@@ -185,6 +187,7 @@ class Scene(eqx.Module):
         supported: Any = (),
         loads: AbstractLoad | Sequence[AbstractLoad] | None = None,
         contact: Rolling | Slipping | None = None,
+        kinks: Any = None,
     ):
         """Make a scene.
 
@@ -195,9 +198,13 @@ class Scene(eqx.Module):
                 ``RollingBody``, one or a tuple of them.
             loads: Forces; ``(Gravity(),)`` when left out, ``()`` for none.
             contact: The contact law; ``Rolling()`` when left out.
+            kinks: Times [s] at which a force, a torque, a control or another function
+                of time of its parts jumps or begins, shape (k,): steps end before each
+                and begin behind it, so that no pulse is missed. They must not depend
+                on what you differentiate by. A motion of the base has its own.
 
         Raises:
-            FieldError: a part of another kind.
+            FieldError: a part of another kind, kinks that are no times.
         """
         base = Base() if base is None else base
         loads = (Gravity(),) if loads is None else loads
@@ -224,6 +231,7 @@ class Scene(eqx.Module):
             _require(f"Scene.supported[{i}]", part, AbstractSupported, remedy)
         self.body, self.base, self.contact = body, base, contact
         self.loads, self.supported = tuple(loads), tuple(supported)
+        self.kinks = checked_kinks("Scene.kinks", kinks)
         self.has_contact_coordinates = (
             body.surface.normal_map(base.surface.is_flat) is None
         )

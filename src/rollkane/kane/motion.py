@@ -257,9 +257,8 @@ def _quickness(state: KaneState) -> Float[Array, " m"]:
     return state.u
 
 
-def _corners(system: KaneSystem) -> tuple[None, bool]:
-    del system
-    return None, False
+def _corners(system: KaneSystem) -> tuple[Array | None, bool]:
+    return system.kinks, system.kinks is not None
 
 
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)

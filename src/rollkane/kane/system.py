@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, checked_kinks
 from ..validation.user_functions import GivenFunction, as_floats, numbers_of
 from .parts import Load, Particle, RigidBody, Wrap, checked_load, checked_part
 
@@ -56,6 +56,7 @@ class KaneSystem(eqx.Module):
             chosen as dependent, and all are in the state.
         parameters: Numbers that the functions depend on.
         shared: What several functions need, evaluated once; None for none.
+        kinks: Times at which functions of time jump [s]; None: none are known.
     """
 
     kinematics: GivenFunction
@@ -68,6 +69,7 @@ class KaneSystem(eqx.Module):
     implied: GivenFunction | None
     parameters: Any
     shared: GivenFunction | None
+    kinks: Float[Array, " k"] | None
     coordinates: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     dependent: tuple[int, ...] = eqx.field(static=True)
@@ -94,6 +96,7 @@ class KaneSystem(eqx.Module):
         projection: Motion | None = None,
         implied: Motion | None = None,
         implied_names: Iterable[str] = (),
+        kinks: Any = None,
     ):
         """Make a system.
 
@@ -133,6 +136,9 @@ class KaneSystem(eqx.Module):
                 speeds that were left out, as they follow from the others: where they no
                 longer do, a motion ends with ``Code.NO_LONGER_REDUNDANT``.
             implied_names: What they are called, one each.
+            kinks: Times [s] at which a load or another function of time jumps or
+                begins, shape (k,): steps end before each and begin behind it, so that
+                no pulse is missed. They must not depend on what you differentiate by.
 
         Raises:
             FieldError: shapes that do not fit, dependent speeds that are not there,
@@ -142,6 +148,7 @@ class KaneSystem(eqx.Module):
         self.coordinates, self.speeds = coordinates, speeds
         self.auxiliary = auxiliary
         self.parameters = as_floats(parameters)
+        self.kinks = checked_kinks("KaneSystem.kinks", kinks)
         example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
         more = self.parameters
         self.shared = None
@@ -165,10 +172,8 @@ class KaneSystem(eqx.Module):
         )
         self.generalized_forces = None
         if generalized_forces is not None:
-            field = "KaneSystem.generalized_forces"
-            self.generalized_forces = motion(
-                field, generalized_forces, example[2].shape
-            )
+            field, size = "KaneSystem.generalized_forces", example[2].shape
+            self.generalized_forces = motion(field, generalized_forces, size)
         self.by_multipliers = dependent is None
         self.dependent = _chosen("dependent", dependent or (), speeds)
         if constraints is not None and self.by_multipliers:

@@ -27,7 +27,7 @@ from ..geometry.small_linear import (
     matvec,
     matvec_transposed,
 )
-from ..validation.checks import FieldError, real, refuse
+from ..validation.checks import FieldError, checked_kinks, real, refuse
 from ..validation.remembered import remembered
 from ..validation.user_functions import (
     UserFunction,
@@ -240,11 +240,7 @@ class BaseMotion(AbstractBaseMotion):
                 np.array([0.0, 1e-3, 0.1, 0.7, 3.1, 17.0, 101.0]),
                 "the base axes on fixed axes",
             )
-        self.given_kinks = (
-            None
-            if kinks is None
-            else real("BaseMotion.kinks", kinks, (None,), "times in seconds")
-        )
+        self.given_kinks = checked_kinks("BaseMotion.kinks", kinks)
 
     @property
     def kinks(self) -> Float[Array, " k"] | None:

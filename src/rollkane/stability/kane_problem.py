@@ -174,7 +174,8 @@ def _changes(system: KaneSystem, states: KaneState) -> bool:
     one = KaneState(states.q[0], states.u[0])
     if not uses_time(kane_derivative, system, one):
         return False
-    return bool(differing(np.asarray(_over_time(system, wide_times(), states))).size)
+    rates = _over_time(system, wide_times(system.kinks), states)
+    return bool(differing(np.asarray(rates)).size)
 
 
 @for_one_call

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.rolling import rolling_derivative
+from ..dynamics.rolling_problem import corners
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced
@@ -212,9 +213,7 @@ def _unsteady(scene: Scene, drift: Action, states: State) -> np.ndarray:
     if not uses_time(rolling_derivative, scene, one):
         return np.zeros(0)
     motion = scene.base.motion
-    times = wide_times()
-    if motion is not None:
-        times = wide_times(motion.kinks, motion.span)
+    times = wide_times(corners(scene)[0], None if motion is None else motion.span)
     found = differing(carried_rates(scene, drift, times, states))
     spread = found[np.linspace(0, found.size - 1, min(found.size, 16)).astype(int)]
     return times[spread]

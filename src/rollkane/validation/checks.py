@@ -174,6 +174,18 @@ def real_and_known(
         return real(field, value, shape, meaning, dtype)
 
 
+def checked_kinks(field: str, kinks: Any) -> Float[Array, " k"] | None:
+    """Times at which a function of time jumps [s], of those that may be given.
+
+    Args:
+        field: Name used in the error.
+        kinks: Shape (k,); None: none are known.
+    """
+    if kinks is None:
+        return None
+    return real(field, kinks, (None,), "times in seconds")
+
+
 @jax.jit
 def _finite_or_nan(array: Array) -> Array:
     return spoilt(array, ~jnp.all(jnp.abs(array) < jnp.inf))

@@ -16,7 +16,7 @@ _UNITS = {
     "angular_velocity": "rad/s",
     "angle": "rad",
     "rate": "rad/s",
-    **dict.fromkeys(("time", "final_time"), "s"),
+    **dict.fromkeys(("time", "final_time", "kinks"), "s"),
     **dict.fromkeys(("velocity", "slip", "speed", "rest_speed"), "m/s"),
     **dict.fromkeys(("center_of_mass", "center", "position", "point"), "m"),
     **dict.fromkeys(("radius", "major_radius", "minor_radius", "semi_axes"), "m"),

@@ -1,0 +1,159 @@
+"""Functions of time that jump: what is told of their kinks is not missed, nor wrong."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane import kane
+from rollkane.validation.checks import FieldError
+
+LEVEL, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+MASS, RADIUS = 2.0, 0.1
+BALL = rk.Body(MASS, 0.4 * MASS * RADIUS**2 * np.eye(3), rk.Sphere(RADIUS))
+BEGIN, LENGTH, END = 1.0, 1e-3, 3.0
+KINKS = BEGIN, BEGIN + LENGTH
+# The pulse lasts as long as the clock's steps at its ends tell: each is one number off,
+# 2.2e-16 of a millisecond, and a step in C or by XLA rounds a few more.
+CLOSE = 1e-11
+# After the pulse a body of unit mass goes on at 1e-3 m/s for each newton.
+WAY = LENGTH * (END - BEGIN - 0.5 * LENGTH)
+
+
+def pulse(t, size):
+    """A force along x for a millisecond."""
+    on = (t >= KINKS[0]) & (t < KINKS[1])
+    return jnp.stack([jnp.where(on, size, 0.0), 0.0 * t, 0.0 * t])
+
+
+def push(t, point, size):
+    del point
+    return pulse(t, size)
+
+
+def pushed(size, kinks=KINKS):
+    force = rk.Force(push, parameters=size)
+    return rk.Scene(BALL, loads=(rk.Gravity(), force), kinks=kinks)
+
+
+def rolled(scene, **options):
+    """Where a ball that was at rest comes to [m]; outputs tell nothing of the pulse."""
+    start = rk.place(scene, LEVEL, STILL, STILL)
+    run = rk.simulate(scene, start, (0.0, END), **options)
+    return run.position[-1, 0]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"method": "native"}, {"method": "diffrax"}, {"modes": rk.Modes(friction=1e3)}],
+    ids=["native", "diffrax", "modes"],
+)
+def test_a_pulse_on_a_body_at_rest_is_not_missed(options):
+    """Alone, in a batch, and its derivatives: linear in the push."""
+
+    def way(size):
+        return rolled(pushed(size), **options)
+
+    share = WAY / (1.4 * MASS)  # m + I / r^2
+    assert float(way(500.0)) == pytest.approx(500.0 * share, rel=CLOSE)
+    batch = jax.vmap(way)(jnp.array([1.0, 500.0]))
+    np.testing.assert_allclose(batch, np.array([1.0, 500.0]) * share, rtol=CLOSE)
+    assert float(jax.grad(way)(500.0)) == pytest.approx(share, rel=CLOSE)
+
+
+def test_kinks_are_what_finds_it():
+    """Without them the run is as if nothing pushed: what they are for."""
+    assert float(rolled(pushed(500.0, None))) == 0.0
+
+
+def test_a_motor_s_pulse_is_not_missed():
+    """On a carried mass: its coordinate, and the reaction on the body."""
+
+    def force(t, alpha, alpha_dot, size):
+        return pulse(t, size)[:1] + 0.0 * alpha
+
+    slider = rk.PointMasses(
+        0.5,
+        lambda alpha: jnp.stack([alpha[0], 0.0, 0.0])[None],
+        force,
+        parameters=3.0,
+    )
+    scene = rk.Scene(BALL, supported=slider, loads=(), kinks=KINKS)
+    start = rk.place(scene, LEVEL, STILL, STILL, alpha=(0.0,), alpha_dot=(0.0,))
+    run = rk.simulate(scene, start, (0.0, KINKS[1], END))
+    assert run.succeeded
+    # the slider's rate, then the ball's speed; it begins in the ball's centre
+    whole = np.array([[0.5, 0.5], [0.5, 0.5 + 1.4 * MASS]])
+    slid, _ = np.linalg.solve(whole, [3.0 * LENGTH, 0.0])
+    # meanwhile it goes 3e-6 of 0.1 m, and what that changes goes with the square
+    assert float(run.state.alpha_dot[1, 0]) == pytest.approx(slid, rel=3e-9)
+
+
+def test_a_base_s_kinks_and_the_scene_s_are_one():
+    """A base that starts off later, and a pulse; each moves the ball by itself."""
+    late = 2.0
+
+    def place(t):
+        away = jnp.maximum(t - late, 0.0)
+        return jnp.stack([0.5 * away**2, 0.0 * t, 0.0 * t])
+
+    still = pushed(500.0)
+    base = rk.Base(motion=rk.BaseMotion(place, kinks=[late]))
+    both = rk.Scene(BALL, base, loads=still.loads, kinks=KINKS)
+    share = 0.4 / 1.4  # I / (I + m r^2) of the base's motion is taken on
+    wanted = 500.0 * WAY / (1.4 * MASS) + share * 0.5 * (END - late) ** 2
+    assert float(rolled(both)) == pytest.approx(wanted, rel=CLOSE)
+
+
+def test_an_ensemble_has_them():
+    scenes = [pushed(1.0), pushed(500.0)]
+    start = rk.place(scenes[0], LEVEL, STILL, STILL)
+    many = rk.ensemble(scenes, start, (0.0, END))
+    assert many.method == "native"
+    ended = np.asarray(many.state.contact_on_base)[:, -1, 0]
+    share = WAY / (1.4 * MASS)
+    np.testing.assert_allclose(ended, np.array([1.0, 500.0]) * share, rtol=CLOSE)
+
+
+def particle(size, kinks=KINKS):
+    def velocity(t, q, u):
+        return [u[0], 0.0, 0.0]
+
+    return kane.KaneSystem(
+        1,
+        1,
+        lambda t, q, u: u,
+        [kane.Particle(MASS, velocity)],
+        [kane.Load(velocity, lambda t, q, u, p: pulse(t, p))],
+        parameters=size,
+        kinks=kinks,
+    )
+
+
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+def test_a_pulse_on_a_kane_system_at_rest_is_not_missed(method):
+    start = kane.KaneState(q=jnp.zeros(1), u=jnp.zeros(1))
+
+    def way(size):
+        return kane.simulate(particle(size), start, (0.0, END), method=method).q[-1, 0]
+
+    assert float(way(500.0)) == pytest.approx(500.0 * WAY / MASS, rel=CLOSE)
+    assert float(jax.grad(way)(500.0)) == pytest.approx(WAY / MASS, rel=CLOSE)
+
+
+def test_a_pulse_is_a_dependence_on_time():
+    """Of a scene and of a system that do not move at any time that is looked at."""
+    scene = pushed(500.0)
+    with pytest.raises(FieldError, match="time"):
+        rk.steady_motion(scene, rk.place(scene, LEVEL, STILL, STILL))
+    start = kane.KaneState(q=jnp.zeros(1), u=jnp.zeros(1))
+    with pytest.raises(FieldError, match="depends on time"):
+        rk.steady_motion(particle(500.0), start)
+
+
+@pytest.mark.parametrize("made", [pushed, particle])
+@pytest.mark.parametrize("kinks", [3.0, [[1.0]], [np.nan], "soon"])
+def test_kinks_are_times(made, kinks):
+    with pytest.raises(FieldError, match="kinks"):
+        made(1.0, kinks)
