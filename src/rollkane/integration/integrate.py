@@ -148,11 +148,17 @@ def _integrated(
         solution = at_their_zeros(solution, rates, events, model, like, times)
     code = jnp.where(good, solution.code, code_of_fault)
     time = times if plan.saveat is None else solution.time
-    return _outcome(replace(solution, time=time, code=code), like, fault, good)
+    solution = replace(solution, time=time, code=code)
+    return _outcome(solution, like, fault, good, times[0])
 
 
-def _outcome(found: Solution, like: Any, fault: Array, good: Array) -> Outcome:
-    """What came out, as states; of a start that was not ``good`` no events."""
+def _outcome(
+    found: Solution, like: Any, fault: Array, good: Array, first: Array
+) -> Outcome:
+    """What came out, as states; of a start that was not ``good`` no steps, no events.
+
+    ``first``: the first time [s].
+    """
     happened = found.happened
     if happened is not None:
         happened = happened._replace(
@@ -160,14 +166,16 @@ def _outcome(found: Solution, like: Any, fault: Array, good: Array) -> Outcome:
             number=jnp.where(good, happened.number, 0),
             by=jnp.where(good, happened.by, -1),
         )
+    # a stand-in for a start that is not good may have gone on to the end
+    tried: Callable[[Array], Array] = lambda count: jnp.where(good, count, 0)
     return Outcome(
         time=found.time,
         state=unpack(found.y, like),
         code=found.code,
-        final_time=found.final_time,
+        final_time=jnp.where(good, found.final_time, first),
         final_state=unpack(found.final_y, like),
-        steps=found.steps,
-        rejected_steps=found.rejected_steps,
+        steps=tried(found.steps),
+        rejected_steps=tried(found.rejected_steps),
         fault=fault,
         happened=happened,
     )

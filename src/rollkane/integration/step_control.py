@@ -47,6 +47,8 @@ class AboveRounding(eqx.Module):
         scaled = jax.lax.stop_gradient(scaled)
         noise = np.finfo(scaled.dtype).eps / self.rtol
         size = jnp.sqrt(jnp.mean(jnp.square(scaled)))
+        # of a state that overflows: NaN would make a step of no length, for ever
+        size = jnp.where(jnp.isnan(size), jnp.inf, size)
         return jnp.maximum(size - jnp.asarray(noise, scaled.dtype), 0.0)
 
 

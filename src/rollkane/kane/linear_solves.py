@@ -5,6 +5,7 @@ from typing import cast
 import jax
 import jax.numpy as jnp
 import lineax as lx  # pyright: ignore[reportMissingTypeStubs]
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, cross, matmul, solve_spd
@@ -13,13 +14,13 @@ from ..geometry.small_linear import components, cross, matmul, solve_spd
 SINGULAR = 1e-12
 # of 1 - C X: of a matrix that can be inverted, roundings; else of order one
 _INVERTED = 1e-3
-_UNROLLED = 12  # larger systems are solved by lineax
+UNROLLED = 12  # larger systems are solved by lineax
 
 
 def solved(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"]:
     """A symmetric positive definite system, unrolled where it is small."""
     size = rhs.shape[0]
-    if size <= _UNROLLED:
+    if size <= UNROLLED:
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     operator = lx.MatrixLinearOperator(M, lx.positive_semidefinite_tag)
@@ -32,12 +33,12 @@ def inverse_of(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
     size = C.shape[0]
     scale = jnp.prod(jnp.sqrt(jnp.sum(C * C, axis=1)))
     if size <= 3:  # by cofactors: 0.03 us, a call to LAPACK takes 1.7
-        a = jnp.zeros((3, 3), C.dtype).at[:size, :size].set(C)
-        a = a + jnp.diag(jnp.asarray([0.0] * size + [1.0] * (3 - size), C.dtype))
+        rest = np.diag([float(i >= size) for i in range(3)])
+        a = jnp.pad(C, (0, 3 - size)) + jnp.asarray(rest, C.dtype)
         cofactors = jnp.stack([cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])])
         det = jnp.sum(a[0] * cofactors[0])
         inverse = cofactors.T[:size, :size] / det
-    elif size <= _UNROLLED:
+    elif size <= UNROLLED:
         return _by_squares(C)
     else:
         # needs row exchanges: 1.1 us for four, 1.4 us for six by LAPACK, one call
@@ -82,7 +83,7 @@ def followed(M: Float[Array, "m m"], C: Float[Array, "c m"]) -> Float[Array, "m 
 def _solved_many(M: Float[Array, "m m"], rhs: Float[Array, "m k"]) -> Array:
     """``M^-1 rhs``, unrolled where it is small."""
     size = M.shape[0]
-    if size <= _UNROLLED:
+    if size <= UNROLLED:
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     factor = jax.scipy.linalg.cho_factor(M)

@@ -17,9 +17,10 @@ from ..integration.integrate import checked_times, tolerances, warn_single_preci
 from ..integration.plans import Problem
 from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
-from ..validation.checks import FieldError, real_numbers
+from ..validation.checks import FieldError, is_traced, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
+from .dependent_speeds import sides, undetermined
 from .equations import (
     all_speeds,
     allowed_state,
@@ -193,14 +194,12 @@ def simulate(
     run = functools.partial(ready, start)
     kind = "kane", type(solver)
     outcome, method, why = run_by(method, refusal, kind, (system, start), run)
-    state, final = outcome.state, outcome.final_state
-    if system.projection is not None:
-        state = _each(kept_well, system, outcome.time, state)
-        final = kept_well(system, outcome.final_time, final)
-    code = outcome.code
-    if system.implied is not None:
-        ended = _lost(system, outcome.final_time, final)
-        state, code = _until_lost(system, outcome.time, state, code, ended)
+    state, final, code = outcome.state, outcome.final_state, outcome.code
+    if system.projection is not None or system.implied is not None:
+        ended = outcome.final_time, final
+        state, final, code = _on_constraints(system, outcome.time, state, *ended, code)
+    if system.dependent and (is_traced(code) or is_stuck(code.item())):
+        code = _explained(system, outcome.final_time, final, code, outcome.fault)
     return KaneTrajectory(
         time=outcome.time,
         state=state,
@@ -222,6 +221,35 @@ def _lost(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, " k"]:
     kept, u = kept_state(system, t, state), all_speeds(system, t, state)
     u = jnp.concatenate([u, jnp.zeros(system.auxiliary, u.dtype)])
     return lost(system, t, kept.q, u, kept.q - state.q)
+
+
+@for_one_call
+def _explained(
+    system: KaneSystem, t: Array, final: KaneState, code: Array, fault: Array
+) -> Array:
+    """The code of a run, where it got stuck by its choice of dependent speeds."""
+    here = is_stuck(code) & (fault == NO_FAULT) & undetermined(system, t, final)
+    return jnp.where(here, Code.DEPENDENT_SPEEDS, code)
+
+
+# one program of them: what is in loops would be compiled anew at every call
+@for_one_call
+def _on_constraints(
+    system: KaneSystem,
+    time: Array,
+    state: KaneState,
+    final_time: Array,
+    final: KaneState,
+    code: Array,
+) -> tuple[KaneState, KaneState, Array]:
+    """Outputs, end and code of a run, projected, up to where rows still follow."""
+    if system.projection is not None:
+        state = jax.vmap(kept_well, in_axes=(None, 0, 0))(system, time, state)
+        final = kept_well(system, final_time, final)
+    if system.implied is not None:
+        ended = _lost(system, final_time, final)
+        state, code = _until_lost(system, time, state, code, ended)
+    return state, final, code
 
 
 def _until_lost(
@@ -261,7 +289,7 @@ def _corners(system: KaneSystem) -> tuple[Array | None, bool]:
     return system.kinks, system.kinks is not None
 
 
-_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
+_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state, sides)
 
 
 def _checked_start(system: KaneSystem, start: object) -> KaneState:

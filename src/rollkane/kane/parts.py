@@ -102,10 +102,10 @@ class _Spoilt(eqx.Module):
     """A function of the parameters, NaN where its value at the start cannot be."""
 
     function: GivenFunction
-    nothing: Array
+    _nothing: Array
 
     def __call__(self, parameters: Any) -> Array:
-        return self.function(parameters, None) + self.nothing
+        return self.function(parameters, None) + self._nothing
 
 
 def _mass(field: str, given: Any) -> Array:

@@ -10,6 +10,7 @@ from ..integration.integrate import tolerances
 from ..validation.checks import FieldError, is_traced
 from .affinity import Samples, refuse_curved, sampled
 from .configuration import Held, held, refuse_bound, refuse_free, refuse_violated
+from .dependent_speeds import NEAR
 from .equations import Reduced, reduced
 from .implied_rows import Followed, followed_along, refuse_lost
 from .linear_solves import SINGULAR
@@ -24,6 +25,8 @@ class Examined(NamedTuple):
         u: All speeds, shape (m,).
         q_dot: Rates of the coordinates, shape (n,).
         samples: Of what has to be affine in the speeds.
+        by_speeds: Derivatives of the constraints by all speeds, shape (k, m); None
+            without any.
         held: What becomes of the configuration; None without one.
         implied: What becomes of rows that follow from others; None without any.
     """
@@ -32,6 +35,7 @@ class Examined(NamedTuple):
     u: Float[Array, " m"]
     q_dot: Float[Array, " n"]
     samples: Samples
+    by_speeds: Float[Array, "k m"] | None
     held: Held | None
     implied: Followed | None
 
@@ -54,7 +58,9 @@ def refuse_start(
         FieldError: what ``refuse`` raises. Nothing is said of numbers that are still
             traced.
     """
-    if not is_traced(system, t, state):
+    if is_traced(system, t, state):
+        return
+    if all(np.isfinite(x).all() for x in (state.q, state.u)):  # else the run says it
         known = np.asarray(t, np.asarray(state.q).dtype)  # by JAX it could be traced
         refuse(system, t, state, _examined(system, cast(Array, known), state), rtol)
 
@@ -84,6 +90,7 @@ def examined(
         equations.u,
         q_dot,
         sampled(system, t, state),
+        equations.partials.by_speeds.constraints,
         held(system, t, state, equations.partials),
         implied,
     )
@@ -123,13 +130,20 @@ def refuse(
     refuse_violated(system, state, found.held, loose, where)
     if eliminated:
         refuse_bound(system, found.held, where)
+    _refuse_undetermined(system, found, where)
+    _refuse_parallel(system, found, where)
     _refuse_singular(system, found, where)
     refuse_lost(system, found.implied, loose, where)
     refuse_free(system, found.held, loose, where)
 
 
-def _refuse_singular(system: KaneSystem, found: Examined, where: str) -> None:
-    if not np.isfinite(found.u).all():
+def _refuse_undetermined(system: KaneSystem, found: Examined, where: str) -> None:
+    """Constraints from which the dependent speeds do not follow."""
+    if found.by_speeds is None or system.by_multipliers:
+        return
+    C = np.asarray(found.by_speeds, float)
+    rows = C / np.linalg.norm(C, axis=1, keepdims=True)
+    if not abs(np.linalg.det(rows[:, list(system.dependent)])) > NEAR:
         raise FieldError(
             "KaneSystem.constraints",
             system.dependent,
@@ -137,6 +151,29 @@ def _refuse_singular(system: KaneSystem, found: Examined, where: str) -> None:
             "choose other dependent speeds, or leave out constraints that follow from "
             "others",
         )
+
+
+def _refuse_parallel(system: KaneSystem, found: Examined, where: str) -> None:
+    """Constraints by multipliers that follow from each other, or nearly so."""
+    if found.by_speeds is None or not system.by_multipliers:
+        return
+    M = np.asarray(found.mass_matrix, float)
+    if not _least_moment(M) > 0.0:
+        return  # is refused for that
+    C = np.asarray(found.by_speeds, float)[:, : M.shape[0]]
+    by_mass = np.linalg.solve(np.linalg.cholesky(M), C.T)
+    rows = by_mass / np.linalg.norm(by_mass, axis=0)
+    if np.isfinite(rows).all() and np.linalg.svd(rows)[1][-1] > NEAR:
+        return
+    raise FieldError(
+        "KaneSystem.constraints",
+        C.tolist(),
+        "follow from each other, or nearly so" + where,
+        "leave out those that follow from others",
+    )
+
+
+def _refuse_singular(system: KaneSystem, found: Examined, where: str) -> None:
     q_dot = np.asarray(found.q_dot)
     if not np.isfinite(q_dot).all():
         raise FieldError(
@@ -146,11 +183,18 @@ def _refuse_singular(system: KaneSystem, found: Examined, where: str) -> None:
             "choose other coordinates (Euler parameters have no singular place)",
         )
     M = np.asarray(found.mass_matrix)
-    moments = np.linalg.eigvalsh(M) if np.isfinite(M).all() else np.array([np.nan])
-    if not moments[0] > SINGULAR * abs(moments[-1]):
+    if not _least_moment(M) > SINGULAR:
         raise FieldError(
             "KaneSystem.parts",
             M,
             "make a mass matrix that is not positive definite" + where,
             "let every independent speed move a mass",
         )
+
+
+def _least_moment(M: np.ndarray) -> float:
+    """The least eigenvalue of a mass matrix, of the largest; NaN of no numbers."""
+    if not np.isfinite(M).all():
+        return np.nan
+    moments = np.linalg.eigvalsh(M)
+    return float(moments[0] / abs(moments[-1]))

@@ -40,7 +40,7 @@ def plot_kane(
         values = np.asarray(getattr(run, letter), float)[:, :_MOST]
         for k, column in enumerate(values.T):
             color, dashes = LINES[k % len(LINES)]
-            draw_curve(panel, time, column, color, f"{letter}{k + 1}", dashes)
+            draw_curve(panel, time, column, color, f"{letter}[{k}]", dashes)
         panel.set_ylim(*limits(values, 0.08, 1e-9))
         panel.set_ylabel(name)
         panel.legend(fontsize=8, frameon=False, ncols=8, loc="upper right")

@@ -37,6 +37,7 @@ class Code:
     INTERRUPTED = 14
     NEITHER_GRIPS_NOR_SLIPS = 15
     NO_LONGER_REDUNDANT = 16
+    DEPENDENT_SPEEDS = 17
 
 
 _REASONS = {
@@ -84,6 +85,10 @@ _REASONS = {
     "start, and was left out, does not follow from them any more: the motion up to "
     "here is right, and from here on the contacts leave less free, or nothing; go on "
     "with kane.rolling_contacts from where it counts, or leave out a contact",
+    Code.DEPENDENT_SPEEDS: "the constraints do not determine the speeds that were "
+    "chosen as dependent here, and no equations of the others are left: the motion up "
+    "to here is right; choose other dependent speeds, or dependent=None, by which a "
+    "motion passes such a place",
     Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
 

@@ -1,0 +1,140 @@
+"""Dependent speeds that the constraints stop determining: a motion ends there."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import rollkane as rk
+from rollkane import kane
+from rollkane.kane.dependent_speeds import NEAR, _determinant
+from rollkane.validation.checks import FieldError
+
+MASS, INERTIA, BEHIND = 2.0, 0.3, 0.2
+HEADING, AHEAD, TURN = 0.3, 1.0, 2.0  # at the start [rad], [m/s], [rad/s]
+TIMES = np.linspace(0.0, 3.0, 31)  # it heads along y after 1.23 s
+
+
+def velocity(t, q, u):
+    return [u[0], u[1], 0.0]
+
+
+def sleigh(dependent, mass=MASS):
+    """Chaplygin's: a knife edge behind the mass centre, which does not slide aside."""
+
+    def aside(t, q, u):
+        return [jnp.cos(q[2]) * u[1] - jnp.sin(q[2]) * u[0] - BEHIND * u[2]]
+
+    body = kane.RigidBody(
+        lambda p: p,
+        INERTIA * np.eye(3),
+        velocity,
+        lambda t, q, u: [0.0 * u[2], 0.0, u[2]],
+    )
+    return kane.KaneSystem(
+        *(3, 3, lambda t, q, u: u, [body]),
+        constraints=aside,
+        dependent=dependent,
+        parameters=mass,
+    )
+
+
+def started(dependent, heading=HEADING):
+    c, s = np.cos(heading), np.sin(heading)
+    aside = BEHIND * TURN
+    u = np.array([c * AHEAD - s * aside, s * AHEAD + c * aside, TURN])
+    kept = np.delete(u, dependent or ())
+    return kane.KaneState(jnp.array([0.0, 0.0, heading]), jnp.asarray(kept))
+
+
+def moved(dependent, mass=MASS, **options):
+    start = started(dependent)
+    return kane.simulate(sleigh(dependent, mass), start, TIMES, **options)
+
+
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+@pytest.mark.parametrize("rtol", [1e-3, 1e-6, 1e-9])
+def test_a_motion_ends_where_its_dependent_speed_is_not_determined(method, rtol):
+    """The speed along y, where the sleigh heads along y; no step jumps across."""
+    run = moved((1,), rtol=rtol, method=method)
+    assert int(run.code) == rk.Code.DEPENDENT_SPEEDS
+    assert "dependent=None" in run.reason
+    assert abs(float(run.final_state.q[2]) - 0.5 * np.pi) < NEAR
+    wanted = moved(None, rtol=1e-11)
+    assert wanted.succeeded
+    reached = float(run.final_time) >= TIMES
+    assert 5 < reached.sum() < TIMES.size
+    assert not np.isfinite(run.q[~reached]).any()
+    # some ten steps, each wrong by rtol of places and speeds of a metre and 2 m/s
+    error = np.abs(np.asarray(run.q - wanted.q))[reached].max()
+    assert error < 10 * 2.0 * rtol
+
+
+def test_choices_that_stay_determined_agree_with_multipliers():
+    wanted = moved(None, rtol=1e-11)
+    for chosen in (0,), (2,):
+        run = moved(chosen, rtol=1e-11)
+        assert run.succeeded
+        assert run.method == "native"
+        # thirty steps of either, each wrong by 1e-11 of 2 m/s at most
+        np.testing.assert_allclose(run.q, wanted.q, atol=2 * 30 * 2e-11)
+
+
+def test_a_member_that_ends_there_ends_alone_and_has_no_derivatives_behind():
+    def end(mass, late):
+        start = started((1,))
+        start = kane.KaneState(start.q.at[2].add(late), start.u)
+        return kane.simulate(sleigh((1,), mass), start, (0.0, 0.5))
+
+    runs = jax.vmap(end, in_axes=(None, 0))(MASS, jnp.array([0.0, 1.0]))
+    assert runs.code.tolist() == [rk.Code.COMPLETED, rk.Code.DEPENDENT_SPEEDS]
+    slopes = jax.vmap(jax.grad(lambda m, late: end(m, late).q[-1, 0]), (None, 0))(
+        MASS, jnp.array([0.0, 1.0])
+    )
+    assert np.isfinite(slopes[0])
+    assert np.isnan(slopes[1])
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9, -1e-9])
+def test_a_start_there_is_refused(off):
+    system = sleigh((1,))
+    q = jnp.array([0.0, 0.0, 0.5 * np.pi + off])
+    start = kane.KaneState(q, jnp.array([0.0, TURN]))
+    with pytest.raises(FieldError, match="do not determine the dependent speeds"):
+        kane.simulate(system, start, (0.0, 1.0))
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-7])
+def test_constraints_by_multipliers_that_nearly_agree_are_refused(off):
+    """From them the accelerations would follow to 1e-16 / off^2."""
+    system = kane.KaneSystem(
+        *(3, 3, lambda t, q, u: u, [kane.Particle(1.0, lambda t, q, u: u)]),
+        constraints=lambda t, q, u: [u[2] - u[0], u[2] - u[0] * (1.0 + off)],
+        dependent=None,
+    )
+    start = kane.KaneState(jnp.zeros(3), jnp.zeros(3))
+    with pytest.raises(FieldError, match="follow from each other"):
+        kane.simulate(system, start, (0.0, 1.0))
+
+
+@pytest.mark.parametrize("method", ["native", "diffrax"])
+def test_a_start_that_cannot_be_takes_no_time_and_no_steps(method):
+    start = started(None)
+    bad = kane.KaneState(start.q, start.u.at[0].set(np.nan))
+    run = kane.simulate(sleigh(None), bad, TIMES, method=method)
+    assert int(run.code) == rk.Code.BAD_START
+    assert "start.u" in run.reason
+    ended = float(run.final_time), int(run.steps), int(run.rejected_steps)
+    assert ended == (0.0, 0, 0)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 12, 14])
+def test_determinants_are_those_of_numpy(size):
+    draw = np.random.default_rng(size)
+    for _ in range(4):
+        C = draw.standard_normal((size, size))
+        C[0, 0] = 0.0  # needs an exchange of rows, where there are some
+        found, wanted = float(_determinant(jnp.asarray(C))), np.linalg.det(C)
+        # eliminations by largest pivots, both: some roundings of each product
+        scale = np.prod(np.linalg.norm(C, axis=1))
+        assert found == pytest.approx(wanted, abs=1e2 * np.finfo(float).eps * scale)
