@@ -152,6 +152,35 @@ def test_a_pulse_is_a_dependence_on_time():
         rk.steady_motion(particle(500.0), start)
 
 
+def test_a_jump_at_a_place_has_its_derivative_between_two_runs():
+    """As docs/mistakes.md advises: a ball that rolls into a wind at x = 0.5 m."""
+    edge = rk.Event(lambda scene, t, state: state.contact_on_base[0] - 0.5)
+
+    def wind(size):
+        force = rk.Force(
+            lambda t, point, p: p * jnp.array([1.0, 0.0, 0.0]), parameters=size
+        )
+        return rk.Scene(BALL, loads=(rk.Gravity(), force))
+
+    def way(speed, size):
+        still, windy = wind(0.0 * size), wind(size)
+        turning = jnp.array([0.0, 1.0, 0.0]) * speed / RADIUS
+        start = rk.place(still, LEVEL, turning, STILL)
+        first = rk.simulate(still, start, (0.0, 2.0), stop=edge)
+        times = jnp.stack([first.final_time, jnp.asarray(2.0)])
+        return rk.simulate(windy, first.final_state, times).position[-1, 0]
+
+    def wanted(speed, size):
+        left = 2.0 - 0.5 / speed
+        return 0.5 + speed * left + 0.5 * size / (1.4 * MASS) * left**2
+
+    at = jnp.asarray(1.0), jnp.asarray(0.7)
+    # steady and evenly accelerated: steps of order 8 are exact, up to rounding
+    assert float(way(*at)) == pytest.approx(float(wanted(*at)), rel=CLOSE)
+    slopes = jax.grad(way, (0, 1))(*at), jax.grad(wanted, (0, 1))(*at)
+    np.testing.assert_allclose(*slopes, rtol=CLOSE)
+
+
 @pytest.mark.parametrize("made", [pushed, particle])
 @pytest.mark.parametrize("kinks", [3.0, [[1.0]], [np.nan], "soon"])
 def test_kinks_are_times(made, kinks):

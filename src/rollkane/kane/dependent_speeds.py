@@ -79,7 +79,7 @@ def _determinant(C: Float[Array, "k k"]) -> Float[Array, ""]:
     """By elimination, the largest of each column first; unrolled where it is small."""
     size = C.shape[0]
     if size > UNROLLED:
-        return jnp.linalg.det(C)
+        return cast(Array, jnp.linalg.det(C))
     rows = [components(row) for row in C]
     found = jnp.ones((), C.dtype)
     for j in range(size):

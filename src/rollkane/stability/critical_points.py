@@ -35,13 +35,13 @@ def critical_on(
     """
     first, last = segment.first, segment.last
     tests: list[tuple[str, _Test]] = []
-    if first.tangent[-1] * last.tangent[-1] < 0.0:
+    if _passes(first.tangent[-1], last.tangent[-1]):
         tests.append(("fold", lambda point: float(point.tangent[-1])))
     same = first.eigenvalues.size == last.eigenvalues.size
-    if same and first.told.determinant * last.told.determinant < 0.0:
+    if same and _passes(first.told.determinant, last.told.determinant):
         if not tests:
             tests.append(("zero crossing", lambda point: point.told.determinant))
-    elif same and first.told.unstable != last.told.unstable:
+    elif same and first.told.determinant and _stability_changes(first, last):
         tests.append(_of_pairs(first, last))
     found: list[Critical] = []
     for kind, test in tests:
@@ -55,6 +55,15 @@ def critical_on(
     return found
 
 
+def _passes(first: float, last: float) -> bool:
+    """Whether a value passes zero, or comes to it; what begins there came there."""
+    return first * last < 0.0 or (last == 0.0 and first != 0.0)
+
+
+def _stability_changes(first: BranchPoint, last: BranchPoint) -> bool:
+    return first.told.unstable != last.told.unstable
+
+
 def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
     """A pair that passes the imaginary axis, or two that meet on it."""
     worse, better = first, last
@@ -63,7 +72,10 @@ def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
     lead = complex(worse.eigenvalues[0])
     same = better.eigenvalues[np.argmin(np.abs(better.eigenvalues - lead))]
     error = better.told.errors[np.argmin(np.abs(better.eigenvalues - lead))]
-    if same.real < -10.0 * error:
+    # where two have met, one falls as fast as the other grows; else one passed alone,
+    # and may be on the axis at the better end
+    mirrored = np.abs(worse.eigenvalues + lead.conjugate()).min() < abs(lead.real)
+    if same.real < -10.0 * error or not mirrored:
         middle = 0.5 * (lead + complex(same))
 
         def damping(point: BranchPoint) -> float:

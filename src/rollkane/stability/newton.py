@@ -177,10 +177,11 @@ def _measures(
     rates = cast(np.ndarray, np.abs(local.rates / size))
     moves = float(rates[~fast].max(initial=rate))
     share = 1.0
-    if moves == 0.0 and np.isfinite(local.slope).all():
+    if rate == 0.0 and np.isfinite(local.slope).all():
         small = cast(np.ndarray, np.linalg.eigvals(local.slope))
-        moves = float(np.abs(small).max(initial=0.0))
-        share = _AT_REST
+        fastest = float(np.abs(small).max(initial=0.0))
+        if moves <= SMALL * fastest:  # what a step towards rest has left over
+            moves, share = fastest, _AT_REST
     rate = moves if np.isfinite(moves) and moves > 0.0 else rate or 1.0
     return np.where(fast, size * rate, size), rate, share * rate
 
