@@ -14,7 +14,9 @@ from ..validation.checks import FieldError
 from ..validation.user_functions import UserFunction
 
 Keys = tuple[str | int, ...]
-_PART = re.compile(r"\.?([A-Za-z_][A-Za-z_0-9]*|[0-9]+)|\[([0-9]+)\]")
+_PART = re.compile(
+    r"\.?([A-Za-z_][A-Za-z_0-9]*|[0-9]+)|\[([0-9]+(?:\s*,\s*[0-9]+)*)\]"
+)
 
 
 def keys_of(path: str) -> Keys:
@@ -33,7 +35,10 @@ def keys_of(path: str) -> Keys:
         if part is None:
             break
         name, index = part.group(1), part.group(2)
-        keys.append(int(index or name) if index or name.isdigit() else name)
+        if index:  # [1, 2] as [1][2]
+            keys += [int(number) for number in index.split(",")]
+        else:
+            keys.append(int(name) if name.isdigit() else name)
         position = part.end()
     if position < len(path) or not keys:
         raise FieldError("Free.path", path, "is not a path", remedy)
