@@ -138,3 +138,26 @@ def test_determinants_are_those_of_numpy(size):
         # eliminations by largest pivots, both: some roundings of each product
         scale = np.prod(np.linalg.norm(C, axis=1))
         assert found == pytest.approx(wanted, abs=1e2 * np.finfo(float).eps * scale)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_any_number_of_dependent_speeds_runs_in_c(count):
+    """Masses on a line, each geared to the first; the last under a force."""
+    gears = 1.0 + 0.5 * np.arange(1, count + 1)
+
+    def along(k):
+        return lambda t, q, u: [u[k], 0.0, 0.0]
+
+    system = kane.KaneSystem(
+        *(count + 1, count + 1, lambda t, q, u: u),
+        [kane.Particle(1.0, along(k)) for k in range(count + 1)],
+        [kane.Load(along(count), lambda t, q, u: [3.0, 0.0, 0.0])],
+        constraints=lambda t, q, u: [u[k + 1] - gears[k] * u[0] for k in range(count)],
+        dependent=range(1, count + 1),
+    )
+    start = kane.KaneState(jnp.zeros(count + 1), jnp.zeros(1))
+    run = kane.simulate(system, start, (0.0, 2.0))
+    assert (run.method, run.why) == ("native", "")
+    rate = 3.0 * gears[-1] / (1.0 + np.sum(gears**2))
+    # evenly accelerated: steps of order 8 are exact, up to some roundings each
+    assert float(run.q[-1, 0]) == pytest.approx(0.5 * rate * 4.0, rel=1e-13)
