@@ -100,3 +100,15 @@ MOVES: dict[str, Callable[[list[Numbers], Params], Numbers]] = {
     "tile": lambda x, p: np.tile(x[0], p["reps"]),
     "transpose": lambda x, p: x[0].transpose(p["permutation"]),
 }
+
+
+def _split(x: Numbers, params: Params) -> list[Numbers]:
+    return np.split(x, np.cumsum(params["sizes"])[:-1], params["axis"])
+
+
+def _unstacked(x: Numbers, params: Params) -> list[Numbers]:
+    rows = np.moveaxis(x, params["axis"], 0)
+    return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
+
+
+PARTS = {"split": _split, "unstack": _unstacked}

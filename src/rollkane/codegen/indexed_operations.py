@@ -11,6 +11,7 @@ import numpy as np
 
 from .along_an_axis import RUNNING, place_of_best, running, wins
 from .array_memory import Index, Look, Memory, value_of
+from .at_known_places import by_known_index, filled
 from .data_movement import Numbers, as_objects, numbers_of
 from .jaxpr_types import Equation
 from .memory_walk import MemoryWalk, Value
@@ -183,22 +184,24 @@ def _written_small(
     return found
 
 
-def _outside(dtype: np.dtype, value: Any) -> Any:
-    """What is read outside of an array: by default what is least or not a number."""
-    if value is not None:
-        return dtype.type(value)
-    if np.issubdtype(dtype, np.floating):
-        return dtype.type(np.nan)
-    if dtype == np.bool_:
-        return np.bool_(True)
-    whole = np.iinfo(dtype)
-    return dtype.type(whole.min if whole.min < 0 else whole.max)
+def _at_known(
+    walk: MemoryWalk, equation: Equation, inputs: list[Value]
+) -> list[Value] | None:
+    """The same of single numbers by indices that are known; None: of others."""
+    given = [walk.numbers(x) for x in inputs]
+    few = all(not isinstance(x, Memory) for x in given)
+    if not few or not all(isinstance(i, np.generic) for i in given[1].reshape(-1)):
+        return None
+    name, dtype = equation.primitive.name, equation.outvars[0].aval.dtype
+    return [by_known_index(walk.operation, name, given, equation.params, dtype)]
 
 
 def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:
     """Rows of an array, of indices that may be unknown."""
     x, indices = inputs[0], walk.numbers(inputs[1])
     params, aval = equation.params, equation.outvars[0].aval
+    if (found := _at_known(walk, equation, inputs)) is not None:
+        return found
     numbers, rest = params["dimension_numbers"], x.shape[1:]
     many = indices.shape[:-1]
     # a row that was looked up as a slice keeps an axis of its own, of length one
@@ -213,12 +216,7 @@ def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list
         raise NotElementwiseError("a lookup of parts of rows")
     kind, filling = type_of(aval.dtype), None
     if "FILL" in str(params["mode"]):
-        filling = _outside(aval.dtype, params["fill_value"])
-    if not isinstance(indices, Memory) and not isinstance(x, Memory):
-        known = [isinstance(i, np.generic) for i in indices.reshape(-1)]
-        if all(known) and filling is None:
-            places = indices[..., 0].astype(int).clip(0, x.shape[0] - 1)
-            return [x[places].reshape(aval.shape)]
+        filling = filled(aval.dtype, params["fill_value"])
     x = walk.arrays.in_memory(x, kind)
     indices = walk.arrays.in_memory(indices, "whole")
     to = walk.arrays.new(aval.shape, kind)
@@ -238,6 +236,8 @@ def _scattered(
     """An array with one row that is written, or added to, if there is such a one."""
     x, index, update = inputs
     numbers = equation.params["dimension_numbers"]
+    if (found := _at_known(walk, equation, inputs)) is not None:
+        return found
     plain = index.shape == (1,) and not numbers.operand_batching_dims
     plain &= numbers.inserted_window_dims == (0,)
     plain &= numbers.scatter_dims_to_operand_dims == (0,)

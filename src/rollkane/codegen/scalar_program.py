@@ -17,9 +17,11 @@ import numpy as np
 from jax.extend import core
 
 from .along_an_axis import ALONG, along
+from .at_known_places import BY_INDEX, by_known_index
 from .called_programs import CalledPrograms, rows_of
 from .data_movement import (
     MOVES,
+    PARTS,
     NotElementwiseError,
     Numbers,
     as_objects,
@@ -116,18 +118,6 @@ class Program:
             return Walk(operate).through(self._closed.jaxpr, closed, values)
 
 
-def _split(x: Numbers, params: Params) -> list[Numbers]:
-    return np.split(x, np.cumsum(params["sizes"])[:-1], params["axis"])
-
-
-def _unstacked(x: Numbers, params: Params) -> list[Numbers]:
-    rows = np.moveaxis(x, params["axis"], 0)
-    return [rows[i : i + 1].reshape(rows.shape[1:]) for i in range(len(rows))]
-
-
-_PARTS = {"split": _split, "unstack": _unstacked}
-
-
 def _alone(value: Any) -> Numbers:
     return as_objects([value], ())
 
@@ -183,13 +173,15 @@ class Walk:
         if name in ALONG:
             types = equation.invars[0].aval.dtype, dtype
             return [along(self.operation, name, inputs[0], params, *types)]
-        if name in _PARTS:
-            return _PARTS[name](inputs[0], params)
+        if name in PARTS:
+            return PARTS[name](inputs[0], params)
         if name == "dot_general" and not any(params["dimension_numbers"][1]):
             a, b = inputs
             return [self.contracted(a, b, params["dimension_numbers"][0], dtype)]
         if name in MOVES:
             return [MOVES[name](inputs, params)]
+        if name in BY_INDEX:
+            return [by_known_index(self.operation, name, inputs, params, dtype)]
         if name == "dynamic_slice":
             return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
         return self.controlled(equation, inputs)

@@ -14,9 +14,7 @@ from ..validation.checks import FieldError
 from ..validation.user_functions import UserFunction
 
 Keys = tuple[str | int, ...]
-_PART = re.compile(
-    r"\.?([A-Za-z_][A-Za-z_0-9]*|[0-9]+)|\[([0-9]+(?:\s*,\s*[0-9]+)*)\]"
-)
+_PART = re.compile(r"\.?([A-Za-z_][A-Za-z_0-9]*|[0-9]+)|\[([0-9]+(?:\s*,\s*[0-9]+)*)\]")
 
 
 def keys_of(path: str) -> Keys:

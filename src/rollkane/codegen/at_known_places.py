@@ -1,0 +1,132 @@
+"""Lookups and writes by indices that are known: numbers change places.
+
+Which go where is found by JAX itself, which does the same to the places' numbers.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .along_an_axis import Operation
+from .data_movement import NotElementwiseError, Numbers, numbers_of
+from .jaxpr_types import Params
+from .known_numbers import KNOWN
+
+# what becomes of the number that was there; None: it is written over
+_WRITES = {
+    "scatter": None,
+    "scatter-add": "add",
+    "scatter_add": "add",  # of later releases of JAX
+    "scatter-mul": "mul",
+    "scatter_mul": "mul",
+    "scatter-min": "min",
+    "scatter_min": "min",
+    "scatter-max": "max",
+    "scatter_max": "max",
+}
+BY_INDEX = frozenset(("gather", *_WRITES))
+_MOST = 1_000_000  # places times numbers that are written: a second of NumPy
+
+
+def by_known_index(
+    operation: Operation,
+    name: str,
+    inputs: list[Numbers],
+    params: Params,
+    dtype: np.dtype,
+) -> Numbers:
+    """What a lookup or a write gives.
+
+    Args:
+        operation: Writes one on numbers.
+        name: Of ``BY_INDEX``.
+        inputs: The array, the indices and, of a write, what is written.
+        params: Its parameters.
+        dtype: Of the results.
+
+    Raises:
+        NotElementwiseError: indices that are not known.
+    """
+    x, indices = inputs[:2]
+    if not all(isinstance(i, KNOWN) for i in indices.reshape(-1)):
+        raise NotElementwiseError(f"{name} by an index that is computed")
+    at = np.array(indices.reshape(-1).tolist(), np.int64).reshape(indices.shape)
+    with jax.ensure_compile_time_eval():
+        if name == "gather":
+            return _looked_up(x, at, params, dtype)
+        if _WRITES[name] is None:
+            return _written(x, at, inputs[2], params)
+        return _combined(operation, _WRITES[name], (x, at, inputs[2]), params, dtype)
+
+
+def _places(x: Numbers, first: int = 0) -> Any:
+    return jnp.arange(first, first + x.size).reshape(x.shape)
+
+
+def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> Numbers:
+    found = jax.lax.gather(
+        _places(x),
+        jnp.asarray(at),
+        params["dimension_numbers"],
+        params["slice_sizes"],
+        indices_are_sorted=params["indices_are_sorted"],
+        unique_indices=params["unique_indices"],
+        mode=params["mode"],
+        fill_value=-1,
+    )
+    outside = numbers_of(np.asarray(filled(dtype, params["fill_value"]), dtype))
+    return _of(x, outside, found)
+
+
+def _of(x: Numbers, others: Numbers, places: Any) -> Numbers:
+    """Numbers by their places among those of an array and others behind them."""
+    places = np.asarray(places)
+    every = np.append(x.reshape(-1), others.reshape(-1))
+    return every[places.reshape(-1)].reshape(places.shape)
+
+
+def filled(dtype: np.dtype, value: Any) -> Any:
+    """What is read outside of an array: by default what is least or not a number."""
+    if value is not None:
+        return dtype.type(value)
+    if np.issubdtype(dtype, np.floating):
+        return dtype.type(np.nan)
+    if dtype == np.bool_:
+        return np.bool_(True)
+    whole = np.iinfo(dtype)
+    return dtype.type(whole.min if whole.min < 0 else whole.max)
+
+
+def _how(params: Params) -> dict[str, Any]:
+    names = "dimension_numbers", "indices_are_sorted", "unique_indices", "mode"
+    return {name: params[name] for name in names}
+
+
+def _written(x: Numbers, at: np.ndarray, update: Numbers, params: Params) -> Numbers:
+    given = _places(x), jnp.asarray(at), _places(update, x.size)
+    found = jax.lax.scatter(*given, **_how(params))
+    return _of(x, update, found)
+
+
+def _combined(
+    operation: Operation,
+    name: Any,
+    inputs: tuple[Numbers, np.ndarray, Numbers],
+    params: Params,
+    dtype: np.dtype,
+) -> Numbers:
+    x, at, update = inputs
+    if x.size * update.size > _MOST:
+        raise NotElementwiseError("writing many numbers to many places")
+    rest, where = jnp.zeros(x.shape, int), jnp.asarray(at)
+    each = jnp.eye(update.size, dtype=int).reshape(update.size, *update.shape)
+    one: Callable[[Any], Any]
+    one = lambda own: jax.lax.scatter_add(rest, where, own, **_how(params))
+    hits = np.asarray(jax.vmap(one)(each)).reshape(update.size, x.size)
+    found, new = np.array(x, object).reshape(-1), update.reshape(-1)
+    for k, place in np.argwhere(hits):
+        found[place] = operation(name, {}, [found[place], new[k]], dtype)
+    return found.reshape(x.shape)
