@@ -25,6 +25,7 @@ from ..geometry.small_linear import (
     solve_2x2,
     solve_4x4,
 )
+from ..geometry.surfaces import AbstractSurface
 from ..kinematics.coordinates import FlyingState
 from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
 from .nearest_on_face import (
@@ -162,13 +163,31 @@ def _nearest_from(
     there, and does not move with the points.
     """
     at = t, eqx.tree_at(places_of, state, found.places)
+    base, body = scene.base.surface, scene.body.surface
     if found.on_face is None:
-        places, _, gap = _improved(scene, *at)
+        (on_base, on_body), _, gap = _improved(scene, *at)
+        if scene.has_contact_coordinates:
+            on_body = _at_unit(body, on_body)
+        places = _at_unit(base, on_base), on_body
         return gap, eqx.tree_at(places_of, state, places)
     rim = rim_over(scene)
     either = lambda: nearer_to_face(scene, *at), lambda: _improved(rim, *at)
     (on_base, _), _, gap = cast(Any, jax.lax.cond(found.on_face, *either))
+    on_base = _at_unit(base, on_base)
     return gap, eqx.tree_at(lambda s: s.contact_on_base, state, on_base)
+
+
+def _at_unit(surface: AbstractSurface, u: Float[Array, " k"]) -> Float[Array, " k"]:
+    """Coordinates whose directions, of any length, have the length one.
+
+    Searches that begin at other samples end at other lengths, and which of two that
+    come to the same point is the nearest rounding tells: a derivative that goes along
+    recorded states would be that of another length than theirs.
+    """
+    for first, last in surface.directions:
+        way = u[first:last] / norm(u[first:last])
+        u = jnp.concatenate([u[:first], way, u[last:]])
+    return u
 
 
 @shared_in_c
