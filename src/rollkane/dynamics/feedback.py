@@ -13,6 +13,7 @@ from ..validation.checks import FieldError
 from ..validation.user_functions import GivenFunction, as_floats
 from .abstract_supported import rolling_parts
 from .loads import AbstractLoad
+from .nearest_points import at_nearest
 from .rolling import contact_of
 from .rolling_bodies import example_state
 from .scene import Scene
@@ -37,7 +38,8 @@ class Feedback(AbstractLoad):
 
     def generalized(self, scene: Scene, t: Float[Array, ""], state: Any) -> list[Array]:
         """One for each quasi-velocity, in the order of the system (4.3)."""
-        given = iter(components(self.force(t, state, self.parameters)))
+        law: Callable[[Any], Array] = lambda y: self.force(t, y, self.parameters)
+        given = iter(components(at_nearest(scene, t, state, law)))
         return [*itertools.islice(given, 3), *_on_supported(scene, t, state, given)]
 
 

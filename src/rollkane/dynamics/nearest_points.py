@@ -4,8 +4,8 @@ From points close to them (:func:`nearest`), or from the lowest of samples of th
 surfaces (:func:`nearest_anywhere`).
 """
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias, cast
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
 
 import equinox as eqx
 import jax
@@ -44,6 +44,7 @@ NEWTON = 16
 # rounding does not let it
 _CLOSE = 64
 
+_Value = TypeVar("_Value")
 # Coordinates of the nearest points on base and body.
 _Places: TypeAlias = tuple[Array, Array]
 # Steps taken, the points, and what was left before the last step and the gap there [m].
@@ -220,6 +221,44 @@ def nearest_anywhere(
     at_best: Callable[[Array], Array] = lambda x: x[best]
     gap, closest = _nearest_from(scene, t, state, jax.tree.map(at_best, found))
     return jnp.where(strays[best], gaps[best], gap), closest
+
+
+def at_nearest(
+    scene: Scene, t: Float[Array, ""], state: Any, function: Callable[[Any], _Value]
+) -> _Value:
+    """What a function of a state gives, in flight at the nearest points.
+
+    A flight has them at the ends of its steps, if it may land; here they are looked for
+    where the function looks at them, and nowhere else.
+    """
+    if state.touches or not _reads_places(function, state):
+        return function(state)
+    return function(nearest_anywhere(scene, t, state)[1])
+
+
+def _reads_places(function: Callable[[Any], Any], state: FlyingState) -> bool:
+    """Whether a function looks at the coordinates of the nearest points."""
+
+    def of_places(places: _Places) -> Any:
+        return function(eqx.tree_at(places_of, state, places))
+
+    program = jax.make_jaxpr(of_places)(places_of(state)).jaxpr
+    return _reads(program, program.invars)
+
+
+def _reads(program: Any, variables: Sequence[Any]) -> bool:
+    """Whether a traced program does anything with some of its variables."""
+    asked = {id(v) for v in variables}
+    for equation in program.eqns:
+        given = [id(v) in asked for v in equation.invars]
+        if any(given) and equation.primitive.name not in ("jit", "pjit"):
+            return True
+        if any(given):
+            inner = equation.params["jaxpr"].jaxpr
+            taken = [v for v, own in zip(inner.invars, given, strict=True) if own]
+            if _reads(inner, taken):
+                return True
+    return any(id(v) in asked for v in program.outvars)
 
 
 def begun_at(

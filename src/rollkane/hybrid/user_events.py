@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.event_layout import Layout
+from ..dynamics.nearest_points import at_nearest
 from ..integration.event_search import (
     Events,
     Happened,
@@ -291,10 +292,15 @@ def values_in_mode(events: Events, motion: Motion, at: Place) -> Float[Array, " 
         scene = slipping(scenes.rolling, mu, direction, y)
         return values_of(events, scene, t, y.sliding())
 
+    def flies() -> Array:
+        scene = scenes.flying
+        values: Callable[[Any], Array] = lambda y: values_of(events, scene, t, y)
+        return at_nearest(scene, t, y.flying(), values)
+
     by_mode = {
         Mode.ROLLING: lambda: values_of(events, scenes.rolling, t, y.rolling()),
         Mode.SLIPPING: slips,
-        Mode.FLYING: lambda: values_of(events, scenes.flying, t, y.flying()),
+        Mode.FLYING: flies,
     }
     branches = [by_mode[mode] for mode in Mode]
     return cast(Array, jax.lax.switch(mode, branches))

@@ -216,8 +216,9 @@ class FlyingState(State):
     Attributes:
         orientation: As in ``State`` [1], shape (4,).
         angular_velocity: On BODY axes [rad/s], shape (3,).
-        contact_on_base: Where the base is nearest, shape (k,).
-        contact_on_body: Where the body is nearest, shape (m,).
+        contact_on_base: Where the base is nearest, shape (k,); of a run in which
+            nothing lands, where it was as the flight began.
+        contact_on_body: Where the body is nearest, shape (m,); likewise.
         alpha: Coordinates of what the body supports, shape (n,).
         alpha_dot: Their rates, shape (n,).
         supported: A state for each body that rolls on this one, relative to it.
