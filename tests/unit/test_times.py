@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.integration.step_control import stops_of
 from rollkane.kane import KaneState, KaneSystem, Particle
 from rollkane.kane import simulate as kane_simulate
 
@@ -276,3 +277,56 @@ def test_what_is_no_tolerance_is_refused(name, value):
     with pytest.raises(rk.FieldError) as caught:
         rk.simulate(*problems.disc(6.0), TIMES, **{name: value})
     assert caught.value.field == f"simulate.{name}"
+
+
+@pytest.mark.parametrize("way", ["diffrax", "native", "modes", "ensemble"])
+def test_outputs_that_follow_closely_are_not_all_one(way):
+    """Each is near to the next, and the last far from the first, by the clock's steps.
+
+    A ball that rolls at 1 m/s; each output is shown within a step of the clock.
+    """
+    first = 1e6
+    near = 100.0 * float(np.finfo(float).eps) * first
+    times = first + np.linspace(0.0, 12.0 * near, 101)
+    scene = rk.Scene(rk.Body(1.0, 4e-3 * np.eye(3), rk.Sphere(0.1)))
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 0.0))
+    if way == "ensemble":
+        starts = jax.tree.map(lambda x: np.asarray(x)[None], start)
+        run = rk.ensemble(scene, starts, times, method="native")
+        code, found = run.code[0], run.state.contact_on_base[0, :, 0]
+    else:
+        more = {"modes": rk.Modes(friction=9.0)} if way == "modes" else {"method": way}
+        run = rk.simulate(scene, start, times, **more)
+        code, found = run.code, run.position[:, 0]
+    assert code == rk.Code.COMPLETED
+    late = np.asarray(found) - (times - first)
+    # steps between stops are known to a rounding of the time at either end, 2 of 100
+    assert np.abs(late).max() <= 1.02 * near
+    assert abs(late[-1]) <= 0.02 * near
+    assert late[0] == 0.0
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_stops_are_apart_and_near_to_what_they_show(dtype, sense):
+    """By NumPy and in a program, of dense and of scattered times."""
+    draw = np.random.default_rng(3)
+    near = 100.0 * float(np.finfo(dtype).eps) * 8.0
+    for spread in (0.05, 0.3, 1.0, 3.0):
+        gaps = spread * near * draw.exponential(size=400)
+        times = (sense * (8.0 - np.cumsum(gaps)[::-1])).astype(dtype)
+        times = times[np.append(True, np.diff(sense * times) > 0)]
+        known, found = stops_of(times), jax.jit(stops_of)(jnp.asarray(times))
+        shown = np.asarray(found.time)
+        np.testing.assert_array_equal(shown, known.time)
+        last = np.arange(times.size) if known.last is None else known.last
+        np.testing.assert_array_equal(found.last, last)
+        # the largest of the times is what their roundings are of
+        near = 100.0 * float(np.finfo(dtype).eps) * float(np.abs(times).max())
+        assert np.abs(shown.astype(float) - times).max() <= near * (1.0 + 1e-6)
+        assert shown[0] == times[0]
+        assert shown[-1] == times[-1]
+        apart = np.abs(np.diff(np.unique(shown).astype(float)))
+        assert apart.min() > near * (1.0 - 1e-6)
+        # rows are kept under the last of the outputs that share a stop
+        np.testing.assert_array_equal(shown[last], shown)

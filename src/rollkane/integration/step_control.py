@@ -101,8 +101,8 @@ class Stops(NamedTuple):
     """Output times as a run stops on them.
 
     Attributes:
-        time: Times [s], shape (T,): those closer together than the clock's steps are
-            one, the last of them; those that close to the first are the first.
+        time: Times [s], shape (T,): those within a step of the clock are the first of
+            them, or the last one of all.
         last: Which output is shown at each of them, shape (T,); None: its own.
     """
 
@@ -127,18 +127,47 @@ def _stops(times: Any, least: float) -> Stops:
     traced = is_traced(times)
     library = cast(Any, jnp if traced else np)
     near = library.maximum(clock_step(times, library), times.dtype.type(least))
-    close = library.abs(library.diff(times)) <= near
-    if not traced and not close.any():
+    if not traced and not (library.abs(library.diff(times)) <= near).any():
         return Stops(times, None)
     count = times.shape[0]
     index = library.arange(count)
-    own = library.where(library.append(close, False), count, index)
+    joins = _joins(times, near) if traced else _joins_known(times, near)
+    own = library.where(joins, count, index)
+    begins = library.where(library.append(False, joins[:-1]), 0, index)
     if traced:
         last = jax.lax.cummin(jnp.asarray(own), reverse=True)
+        first = jax.lax.cummax(jnp.asarray(begins))
     else:
         last = np.minimum.accumulate(own[::-1])[::-1]
-    last = library.where(last == last[0], 0, last)  # no step leads from the start there
-    return Stops(times[last], last)
+        first = np.maximum.accumulate(begins)
+    # a run ends on its last time, and no step leads from the start to the start
+    ends = (last == count - 1) & (first > 0)
+    last = library.where(first == 0, 0, last)
+    return Stops(times[library.where(ends, count - 1, first)], last)
+
+
+def _joins_known(times: np.ndarray, near: Any) -> np.ndarray:
+    """Which outputs are one with the next: all that are near to the first of them.
+
+    Of many that follow each other closely, no more than that become one.
+    """
+    joins = np.zeros(times.shape[0], bool)
+    first = times[0]
+    for i, time in enumerate(times[1:]):
+        joins[i] = abs(time - first) <= near
+        first = first if joins[i] else time
+    return joins
+
+
+def _joins(times: Array, near: Array) -> Bool[Array, " T"]:
+    """The same of traced times."""
+
+    def turn(first: Array, time: Array) -> tuple[Array, Array]:
+        joins = jnp.abs(time - first) <= near
+        return jnp.where(joins, first, time), joins
+
+    _, joins = jax.lax.scan(turn, times[0], times[1:])
+    return jnp.append(joins, False)
 
 
 def clock_step(times: Any, library: Any = jnp) -> Any:
