@@ -1,5 +1,6 @@
 """Functions of time that jump: what is told of their kinks is not missed, nor wrong."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,8 +15,8 @@ MASS, RADIUS = 2.0, 0.1
 BALL = rk.Body(MASS, 0.4 * MASS * RADIUS**2 * np.eye(3), rk.Sphere(RADIUS))
 BEGIN, LENGTH, END = 1.0, 1e-3, 3.0
 KINKS = BEGIN, BEGIN + LENGTH
-# The pulse lasts as long as the clock's steps at its ends tell: each is one number off,
-# 2.2e-16 of a millisecond, and a step in C or by XLA rounds a few more.
+# Steps stay four numbers away from the pulse's ends, 2 x 4 x 2.2e-16 of a millisecond,
+# and round a few more themselves.
 CLOSE = 1e-11
 # After the pulse a body of unit mass goes on at 1e-3 m/s for each newton.
 WAY = LENGTH * (END - BEGIN - 0.5 * LENGTH)
@@ -131,6 +132,46 @@ def particle(size, kinks=KINKS):
     )
 
 
+HELD = {
+    "floor": lambda t, h, count: jnp.floor(t / h).astype(int),
+    "rounded": lambda t, h, count: jnp.round(t / h - 0.5).astype(int),
+    "counted": lambda t, h, count: jnp.sum(t >= h * np.arange(1, count)),
+}
+
+
+@pytest.mark.parametrize("law", HELD)
+@pytest.mark.parametrize("h", [0.1, 0.02, 1.0 / 3.0])
+def test_a_force_that_is_held_from_sample_to_sample(law, h):
+    """Whichever way the sample of a time is found: it rounds, beside the jump, too."""
+    count = 9
+    end = count * h
+
+    def velocity(t, q, u):
+        return [u[0], 0.0, 0.0]
+
+    def held(t, q, u, forces):
+        number = jnp.clip(HELD[law](t, h, count), 0, count - 1)
+        return [forces[number], 0.0, 0.0]
+
+    def way(forces):
+        system = kane.KaneSystem(
+            *(1, 1, lambda t, q, u: u, [kane.Particle(1.0, velocity)]),
+            [kane.Load(velocity, held)],
+            parameters=forces,
+            kinks=h * np.arange(1, count),
+        )
+        start = kane.KaneState(q=jnp.zeros(1), u=jnp.zeros(1))
+        return kane.simulate(system, start, (0.0, end)).q[-1, 0]
+
+    forces = jnp.asarray(np.random.default_rng(0).standard_normal(count))
+    shares = h * (end - h * (np.arange(count) + 0.5))
+    # each jump is passed over, some nine numbers of 2.2e-16 of the time, of h
+    close = count * 9 * 2.3e-16 * end / h * shares.max()
+    assert float(way(forces)) == pytest.approx(float(shares @ forces), abs=10 * close)
+    for derivative in (jax.grad(way), jax.jacfwd(way)):
+        np.testing.assert_allclose(derivative(forces), shares, rtol=0, atol=close)
+
+
 @pytest.mark.parametrize("method", ["native", "diffrax"])
 def test_a_pulse_on_a_kane_system_at_rest_is_not_missed(method):
     start = kane.KaneState(q=jnp.zeros(1), u=jnp.zeros(1))
@@ -179,6 +220,18 @@ def test_a_jump_at_a_place_has_its_derivative_between_two_runs():
     assert float(way(*at)) == pytest.approx(float(wanted(*at)), rel=CLOSE)
     slopes = jax.grad(way, (0, 1))(*at), jax.grad(wanted, (0, 1))(*at)
     np.testing.assert_allclose(*slopes, rtol=CLOSE)
+
+
+@pytest.mark.parametrize("system", [False, True])
+def test_a_controller_of_one_s_own_knows_no_kinks(system):
+    controller = diffrax.PIDController(rtol=1e-6, atol=1e-8)
+    run, model = rk.simulate, pushed(1.0)
+    start = rk.place(model, LEVEL, STILL, STILL)
+    if system:
+        run, model = kane.simulate, particle(1.0)
+        start = kane.KaneState(q=jnp.zeros(1), u=jnp.zeros(1))
+    with pytest.raises(FieldError, match=r"stepsize_controller.*jump_ts"):
+        run(model, start, (0.0, END), stepsize_controller=controller)
 
 
 @pytest.mark.parametrize("made", [pushed, particle])

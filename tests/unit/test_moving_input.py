@@ -203,9 +203,9 @@ def test_in_a_batch_the_lane_that_leaves_its_record_fails_alone():
     np.testing.assert_allclose(lanes.position[0], alone.position, atol=1e-12)
 
 
-def stops(times, kinks, jump=False):
+def stops(times, kinks, away=0):
     """Ends and begins of each stop, once."""
-    found = (np.asarray(x) for x in landings(times, kinks, jump) if x is not None)
+    found = (np.asarray(x) for x in landings(times, kinks, away) if x is not None)
     return [list(dict.fromkeys(x[np.isfinite(x)].tolist())) for x in found]
 
 
@@ -239,7 +239,7 @@ def test_landings_of_known_times_are_those_a_program_finds(jump):
 def test_steps_end_before_a_jump_and_begin_behind_it():
     times, kinks = jnp.array([0.0, 1.0, 2.0]), jnp.array([0.25, 1.0, 2.0])
     for sign in (1.0, -1.0):
-        ends, starts = stops(sign * times, sign * kinks, jump=True)
+        ends, starts = stops(sign * times, sign * kinks, away=1)
         at = sign * np.array([0.25, 1.0, 2.0])
         before, behind = np.nextafter(at, 0.0), np.nextafter(at, 9.0 * sign)
         assert ends == [before[0], before[1], at[2]]
@@ -266,7 +266,7 @@ def test_an_output_beside_a_kink_is_on_both_sides_of_it():
     for off in (-3, 3):
         output = 0.3 + off * 5.6e-17
         assert 0 < abs(output - 0.3) < 2e-16
-        found = landings(jnp.array([0.0, output, 1.0]), jnp.array([0.3]), jump=True)
+        found = landings(jnp.array([0.0, output, 1.0]), jnp.array([0.3]), away=1)
         ends, starts = (float(x[0]) for x in found)
         first, last = sorted([output, 0.3])
         assert ends == np.nextafter(first, 0.0)

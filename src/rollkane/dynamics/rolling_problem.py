@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ..geometry.small_linear import norm
 from ..geometry.surfaces import AbstractSurface
+from ..kinematics.base_motion import BESIDE_JUMPS
 from ..kinematics.voronets import CHART_EDGE, ChartContact
 from ..validation.checks import is_traced
 from ..validation.codes import Code, is_stuck
@@ -34,16 +35,16 @@ _Extent: TypeAlias = Callable[[Array], Array | None]
 Unbroken: TypeAlias = Callable[[Scene, Array, Any], list[Array]]
 
 
-def corners(scene: Scene) -> tuple[Any, bool]:
-    """Kinks of all that is a function of time [s], and whether rates may jump there."""
+def corners(scene: Scene) -> tuple[Any, int]:
+    """Kinks of all that is a function of time [s]; how many numbers steps stay away."""
     motion = scene.base.motion
     if motion is None or motion.kinks is None:
-        return scene.kinks, scene.kinks is not None
+        return scene.kinks, BESIDE_JUMPS
     if scene.kinks is None:
-        return motion.kinks, motion.jumps
+        return motion.kinks, motion.kept_away
     times = motion.kinks, scene.kinks
     # known ones stay known inside of `jit`
-    return (jnp if is_traced(times) else np).concatenate(times), True
+    return (jnp if is_traced(times) else np).concatenate(times), BESIDE_JUMPS
 
 
 def error_sizes(state: Any) -> Any:

@@ -45,8 +45,8 @@ from .step_trial import Allowed, Run
 from .transitions import Motion
 from .user_events import Kept, at_their_zeros, with_places
 
-# Times at which a scene's rates have a corner [s], and whether they may jump there.
-_Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, bool]]
+# Times at which rates of a scene have a corner [s]; how many numbers steps stay away.
+_Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, int]]
 
 
 class _Inputs(NamedTuple):
@@ -101,7 +101,7 @@ def integrate_modes(
         solver: diffrax solver, an explicit Runge-Kutta method.
         max_steps: Most tried steps.
         corners: ``corners(scene)`` -> times at which the rates have a corner [s], or
-            None, and whether they may jump there.
+            None, and how many numbers steps stay away from them.
         allowed: ``allowed(scene, t, state)`` -> whether a step may end there; None:
             anywhere.
         zeros: For a loop in C and its derivatives, which numbers of the scene are zero

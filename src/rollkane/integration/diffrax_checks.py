@@ -75,6 +75,27 @@ def _check_fits(field: str, value: Any) -> None:
         raise FieldError(field, value, problem, remedy)
 
 
+def check_kinks(kinks: Any, controller: Any) -> None:
+    """Refuse a controller of the user's beside kinks, of which it knows nothing.
+
+    Args:
+        kinks: Of the scene or the system; None: none.
+        controller: The user's; None: none.
+
+    Raises:
+        FieldError: there are both.
+    """
+    if kinks is None or controller is None:
+        return
+    raise FieldError(
+        "simulate.stepsize_controller",
+        type(controller).__name__,
+        "does not end its steps on kinks, and pulses between may be missed",
+        "leave it out, or leave out kinks and give "
+        "diffrax.ClipStepSizeController(controller, jump_ts=times)",
+    )
+
+
 def check_kinds(function: str, **given: Any) -> None:
     """Refuse what is none of diffrax's objects, or one that no run here can take.
 

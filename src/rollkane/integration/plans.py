@@ -40,7 +40,7 @@ class Problem(NamedTuple):
         sizes: ``sizes(state)`` -> what the default absolute tolerance is multiplied by,
             as a state.
         corners: ``corners(model)`` -> times at which the right-hand side has a corner
-            [s], or None, and whether it may jump there.
+            [s], or None, and how many numbers steps stay away from them.
         consistent: ``consistent(model, t, state)`` -> the state as the constraints
             allow it.
         unbroken: ``unbroken(model, like)`` -> ``vectors(model, t, state)``, a list of
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
     derivative: Callable[[Any, Array, Any], Any]
     quickness: Callable[[Any], Array]
     sizes: Callable[[Any], Any]
-    corners: Callable[[Any], tuple[Array | None, bool]]
+    corners: Callable[[Any], tuple[Array | None, int]]
     consistent: Callable[[Any, Array, Any], Any] = lambda model, t, state: state
     unbroken: Callable[[Any, Any], Vectors | None] = lambda model, like: None
 

@@ -55,8 +55,8 @@ class AboveRounding(eqx.Module):
 class Landings(NamedTuple):
     """Where steps have to end, in order, and where the next ones begin.
 
-    They differ only round a jump of the right-hand side: the last number before it, and
-    the first behind it. A stage evaluated on the jump itself would have either value.
+    They differ only round a jump of the right-hand side: some number before it, and one
+    behind it. A stage evaluated on the jump itself would have either value.
 
     Attributes:
         ends: [s], shape (n,), some of them twice; infinite behind the last.
@@ -229,14 +229,15 @@ class LandOn(AbstractAround):
         return keep, next_t0, t_end, jump, (inner, index, dt), result
 
 
-def landings(times: Any, kinks: Any, jump: bool = False) -> Landings:
+def landings(times: Any, kinks: Any, away: int = 0) -> Landings:
     """Output times after the first, with the kinks between them, in order.
 
     Args:
         times: Of :class:`Stops` [s], increasing or decreasing, shape (T,).
         kinks: Times at which the right-hand side has a corner [s], shape (k,); None:
             none.
-        jump: Whether steps end before them and begin behind them, as it may jump there.
+        away: How many numbers before and behind them steps end and begin, as it may
+            jump there; 0: they end on them.
 
     Returns:
         Where :class:`LandOn` ends its steps; of known times as arrays of NumPy's.
@@ -245,19 +246,19 @@ def landings(times: Any, kinks: Any, jump: bool = False) -> Landings:
         return Landings(times[1:], None)
     if is_traced((times, kinks)):
         kinks = jax.lax.stop_gradient(kinks).astype(times.dtype)
-        return _landings(times, kinks, jump, jnp)
+        return _landings(times, kinks, away, jnp)
     # XLA would find them, too, while it compiles, and take a second for a thousand
     known, kinks = np.asarray(times), np.asarray(kinks, times.dtype)
-    return of_numbers(_known_landings, np.append(known, kinks), known.size, jump)
+    return of_numbers(_known_landings, np.append(known, kinks), known.size, away)
 
 
-def _known_landings(numbers: Any, count: int, jump: bool) -> Landings:
+def _known_landings(numbers: Any, count: int, away: int) -> Landings:
     """Of times, so many, and kinks one behind the other."""
     with np.errstate(invalid="ignore"):  # how far infinite ones are apart
-        return _landings(numbers[:count], numbers[count:], jump, np)
+        return _landings(numbers[:count], numbers[count:], away, np)
 
 
-def _landings(times: Any, kinks: Any, jump: bool, library: Any) -> Landings:
+def _landings(times: Any, kinks: Any, away: int, library: Any) -> Landings:
     """The same by JAX or by NumPy."""
     sign = library.where(times[-1] < times[0], -1.0, 1.0).astype(times.dtype)
     outputs = times * sign
@@ -276,15 +277,18 @@ def _landings(times: Any, kinks: Any, jump: bool, library: Any) -> Landings:
     one_with: Callable[[Any], Any] = lambda x: library.where(
         beside, library.where(follows, library.roll(x, 1), library.roll(x, -1)), x
     )
-    if not jump:
+    if not away:
         return Landings(one_with(ends) * sign, None)
     # the run itself ends on its last time, whatever is there
     jumps = (of_kink | follows | leads) & (ends < outputs[-1])
     # an output may be beside it by its rounding
     first = library.where(follows, library.roll(ends, 1), ends)
     last = library.where(leads, library.roll(ends, -1), ends)
-    before = library.where(jumps, library.nextafter(first, -library.inf), ends)
-    behind = library.where(jumps, library.nextafter(last, library.inf), ends)
+    # numbers lie an eps apart at most, and what is beside zero a hair
+    more = (away - 1) * float(np.finfo(ends.dtype).eps) * library.abs(ends)
+    before, behind = first - more, last + more
+    before = library.where(jumps, library.nextafter(before, -library.inf), ends)
+    behind = library.where(jumps, library.nextafter(behind, library.inf), ends)
     return Landings(one_with(before) * sign, one_with(behind) * sign)
 
 

@@ -12,11 +12,12 @@ from jaxtyping import Array, Float, Int
 
 from ..codegen.compile_effort import for_one_call
 from ..integration.backends import check_method, run_by, without_native
-from ..integration.diffrax_checks import check_kinds
+from ..integration.diffrax_checks import check_kinds, check_kinks
 from ..integration.integrate import checked_times, tolerances, warn_single_precision
 from ..integration.plans import Problem
 from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
+from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError, is_traced, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
@@ -167,6 +168,7 @@ def simulate(
         adjoint=adjoint,
         progress_meter=progress_meter,
     )
+    check_kinks(system.kinks, stepsize_controller)
     given = {
         "stepsize_controller": stepsize_controller is not None,
         "adjoint": adjoint is not None,
@@ -285,8 +287,8 @@ def _quickness(state: KaneState) -> Float[Array, " m"]:
     return state.u
 
 
-def _corners(system: KaneSystem) -> tuple[Array | None, bool]:
-    return system.kinks, system.kinks is not None
+def _corners(system: KaneSystem) -> tuple[Array | None, int]:
+    return system.kinks, BESIDE_JUMPS
 
 
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state, sides)

@@ -115,6 +115,12 @@ def _sum(*terms: Array | None) -> Array | None:
     return total
 
 
+# How many numbers steps stay away from a time at which a function of a user's jumps:
+# that one may divide (floor(t / h)) and subtract before it looks, a rounding each, and
+# the time itself is a product (k h) of one
+BESIDE_JUMPS = 4
+
+
 class AbstractBaseMotion(eqx.Module):
     """How a base moves in time."""
 
@@ -133,12 +139,13 @@ class AbstractBaseMotion(eqx.Module):
         return None
 
     @property
-    def jumps(self) -> bool:
-        """Whether the acceleration, or a derivative of it, may jump at the kinks.
+    def kept_away(self) -> int:
+        """How many numbers before each kink steps end, and begin behind it.
 
-        Then steps end before each and begin behind it.
+        For an acceleration, or a derivative of it, that may jump there; 0: they end on
+        the kink.
         """
-        return False
+        return 0
 
     @property
     def span(self) -> tuple[Array, Array] | None:
@@ -248,9 +255,9 @@ class BaseMotion(AbstractBaseMotion):
         return self.given_kinks
 
     @property
-    def jumps(self) -> bool:
-        """True: which derivative jumps is not known."""
-        return True
+    def kept_away(self) -> int:
+        """So many that functions of a user's are beside the jump, too."""
+        return BESIDE_JUMPS
 
     def at(self, t: Float[Array, ""]) -> BaseKinematics:
         """Pose, velocity and acceleration at a time [s], by nested derivatives."""

@@ -32,9 +32,9 @@ class _Sampled(AbstractBaseMotion):
         return self.time
 
     @property
-    def jumps(self) -> bool:
-        """True: derivatives by the clock do, though the acceleration does not."""
-        return True
+    def kept_away(self) -> int:
+        """One: derivatives by the clock jump, though the acceleration does not."""
+        return 1
 
 
 class RecordedMotion(_Sampled):

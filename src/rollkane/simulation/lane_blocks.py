@@ -123,14 +123,14 @@ class LaneBlocks:
     def _landings(self, scene: Any, members: Members) -> Stops:
         """Where all lanes stop; the way of time is forwards."""
         times, _ = self._outputs
-        kinks, jump = corners(scene)
+        kinks, away = corners(scene)
         sense = -1.0 if times[-1] < times[0] else 1.0
         if kinks is None:
             ends = starts = np.unique(sense * times[1:])
         elif _corners_differ(scene, members.scene_axes):
             raise NotForLanesError("the times of corners differ from member to member")
         else:
-            found = landings(times, kinks, jump)
+            found = landings(times, kinks, away)
             ends = sense * np.asarray(found.ends)
             starts = sense * np.asarray(found.starts)
         # each of them once, behind the start

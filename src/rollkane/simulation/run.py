@@ -21,7 +21,7 @@ from ..dynamics.rolling_problem import (
 from ..dynamics.scene import Scene
 from ..hybrid.modes import Modes
 from ..integration.backends import check_method, without_native
-from ..integration.diffrax_checks import check_kinds
+from ..integration.diffrax_checks import check_kinds, check_kinks
 from ..integration.integrate import Outcome, checked_times, warn_single_precision
 from ..integration.plans import Problem
 from ..integration.prepared import prepared
@@ -148,6 +148,7 @@ def simulate(
     check_method(method)
     check_kinds("simulate", solver=solver, **parts)
     check_law(scene, formulation, coordinates)
+    check_kinks(scene.kinks, stepsize_controller)
     if isinstance(solver, KeepingEnergy):
         check_keeps_energy("simulate.scene", scene)
     chosen = {
