@@ -124,3 +124,30 @@ def test_forces_of_a_run_where_nothing_slips_have_gradients():
     found = jax.grad(pressed)(jnp.array([0.0, 0.0, -9.81]))
     # N = -m g_z at both outputs, whatever the run
     np.testing.assert_allclose(found, [0.0, 0.0, -2.0], atol=1e-12)
+
+
+def test_a_record_s_samples_have_reverse_derivatives_in_flight():
+    """More numbers than each state could have a copy of; what slips would be NaN."""
+    time = np.linspace(0.0, 1.2, 61)
+    samples = np.random.default_rng(7).standard_normal((61, 3))
+    body = rk.Body(0.8, np.diag([3e-3, 3.5e-3, 4e-3]), rk.Sphere(0.1), (0.01, 0.0, 0.0))
+
+    def seen(scale):
+        motion = rk.RecordedMotion(time, samples * scale)
+        scene = rk.Scene(body, rk.Base(motion=motion))
+        start = rk.release(
+            scene,
+            (1.0, 0.0, 0.0, 0.0),
+            (1.0, 2.0, 3.0),
+            (0.0, 0.0, 0.2),
+            (0.5, 0.3, 0.0),
+        )
+        modes = rk.Modes(friction=0.3, restitution=0.5)
+        run = rk.simulate(scene, start, (0.0, 0.1, 0.4), modes=modes)
+        found = run.contact_force, run.power, run.switches.time[:1]
+        return jnp.concatenate([jnp.ravel(x) for x in found])
+
+    ahead, back = jax.jacfwd(seen)(1.0), jax.jacrev(seen)(1.0)
+    assert np.abs(ahead).max() > 1e-3
+    # the same steps, followed both ways: roundings of numbers of order ten
+    np.testing.assert_allclose(back, ahead, rtol=1e-9, atol=1e-9)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ..dynamics.scene import Scene
+from ..kinematics.base_motion import AbstractBaseMotion, BaseKinematics
 from .modes import HybridScene, Mode, ModedState, slipping
 
 _T = TypeVar("_T")
@@ -37,7 +38,7 @@ def by_mode(observable: _Observable) -> Callable[[HybridScene, Array, ModedState
         which = [state.mode == mode for mode in modes]
         known = scene, t, state
         found = [
-            _seen(observable, mode, own, *moved_where(own, known))
+            _seen(observable, mode, own, *_moved(own, *known))
             for mode, own in zip(modes, which, strict=True)
         ]
         pick: Callable[..., Array] = lambda *values: jnp.select(which, values, jnp.nan)
@@ -69,6 +70,35 @@ def _seen(
         opened = eqx.filter_closure_convert(observable, *known)
         observable = moved_where(own, opened)
     return observable(*known)
+
+
+class _MovedWhere(AbstractBaseMotion):
+    """A base's motion by tables, of which each state has only what it looks up.
+
+    Attributes:
+        motion: That.
+        own: Whether it moves what is seen.
+    """
+
+    motion: AbstractBaseMotion
+    own: Bool[Array, ""]
+
+    def at(self, t: Array) -> BaseKinematics:
+        """Pose, velocity and acceleration, with their derivatives where it moves."""
+        return moved_where(self.own, self.motion.at(t))
+
+
+def _moved(
+    own: Bool[Array, ""], scene: HybridScene, t: Array, state: ModedState
+) -> tuple[HybridScene, Array, ModedState]:
+    """What moves where it is the mode's own, a base's tables by what they give."""
+    moved = moved_where(own, (scene, t, state))
+    motion = scene.base.motion
+    large = [x.size > _TABLE for x in jax.tree.leaves(motion)]
+    if motion is None or not any(large):
+        return moved
+    of_base: Callable[[Any], Any] = lambda known: known[0].base.motion
+    return eqx.tree_at(of_base, moved, _MovedWhere(of_base(moved), own))
 
 
 def moved_where(own: Bool[Array, ""], tree: _T) -> _T:

@@ -146,10 +146,10 @@ def _integrated(
         solution = eqx.tree_at(numbers, solution, replace_fn=lambda x: x + refused)
     if events:
         solution = at_their_zeros(solution, rates, events, model, like, times)
-    code = jnp.where(good, solution.code, code_of_fault)
     time = times if plan.saveat is None else solution.time
-    solution = replace(solution, time=time, code=code)
-    return _outcome(solution, like, fault, good, times[0])
+    code = jnp.where(good, solution.code, code_of_fault)
+    told = replace(solution, time=time, code=code)
+    return _outcome(told, like, fault, good, times[0])
 
 
 def _outcome(
