@@ -76,6 +76,10 @@ class Outcome(eqx.Module):
     happened: Happened | None = None
 
 
+def _shape_of(x: Array) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(x.shape, x.dtype)
+
+
 def _integrated(
     known_plan: Known,
     structure: Known,
@@ -93,10 +97,7 @@ def _integrated(
     plan = plan if plan_arrays is None else eqx.combine(plan, plan_arrays)
     model = jax.tree.unflatten(structure.value, leaves)
 
-    def size(x: Array) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(x.shape, x.dtype)
-
-    like = jax.tree.map(size, start)
+    like = jax.tree.map(_shape_of, start)
     if isinstance(plan.solver, Projected):
         plan = eqx.tree_at(lambda p: p.solver, plan, plan.solver.of(like))
 
