@@ -2,59 +2,103 @@
 
 Where the determinant of their part of the constraints passes zero, no equations of the
 independent speeds are left: next to it they grow as one over its square, and a step
-that jumps across has an error that its estimate does not see. No step may.
+that jumps across has an error that its estimate does not see. So rates are NaN beyond,
+at every stage of a step.
 """
 
+from collections.abc import Callable
 from typing import Any, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..geometry.small_linear import components
-from ..integration.plans import Vectors
+from ..codegen.compile_effort import for_few_operations
 from .closure import kept
-from .linear_solves import UNROLLED
+from .linear_solves import determinant
 from .system import KaneState, KaneSystem
 
-# of its rows: runs end nearer to zero, as a skate does for whose tolerance of 1e-12
-# rounding is too much at 8e-9, and for looser ones at the clock's steps, 1e-14
+# Least singular value of rows of unit length that a start may have: rates of one with
+# less are known to 1e-16 / 1e-12.
 NEAR = 1e-6
+# A motion's may fall to the root of its tolerance, some times, of what it began with,
+# as errors go with one over its square; and to a hundredth in loose runs
+_TIMES, _LOOSE = 3.0, 1e-2
+# So many rows; of more, each may become shorter without any harm
+_FEW = 4
+# How near to that a run is stuck: far beyond the clock's steps
+_THERE = 1e-3
 
 
-def sides(system: KaneSystem, like: Any) -> Vectors | None:
-    """What no step of a motion may reverse; None: no speeds are dependent.
+def on_its_side(
+    system: KaneSystem,
+    t: Any,
+    state: KaneState,
+    rtol: Any,
+    by_speeds: Float[Array, "k m"] | None,
+) -> KaneSystem:
+    """A system whose rates are NaN beyond such a place, of a motion that begins here.
 
     Args:
         system: The system.
-        like: Of a state; not looked at.
+        t: Time [s].
+        state: Coordinates and independent speeds.
+        rtol: Relative tolerance of the motion [1].
+        by_speeds: Derivatives of the constraints by all speeds, where they are known.
     """
-    del like
     if not system.dependent:
-        return None
+        return system
+    if by_speeds is None:
+        by_speeds = _by_speeds(system, t, state)
+    loose = jnp.asarray(rtol, by_speeds.dtype)
+    return of_side(system, _side(by_speeds, system.dependent, loose))
 
-    def vectors(system: KaneSystem, t: Array, state: KaneState) -> list[Array]:
-        C = _by_speeds(system, t, state)
-        side = jnp.sign(_determinant(C @ _bound(system, C.dtype)))
-        return [jnp.stack([side, jnp.zeros_like(side)])]
 
-    return vectors
+@for_few_operations
+def _side(
+    C: Float[Array, "k m"], dependent: tuple[int, ...], rtol: Float[Array, ""]
+) -> Float[Array, ""]:
+    """What a determinant is multiplied by, so that it has to be larger than one."""
+    least = jnp.minimum(_TIMES * jnp.sqrt(rtol), _LOOSE)
+    least = least ** max(1.0, len(dependent) / _FEW)
+    side = 1.0 / (least * _of_unit_rows(C, dependent))
+    return jax.lax.stop_gradient(jnp.where(jnp.isfinite(side), side, 0.0))
+
+
+def _of_unit_rows(
+    C: Float[Array, "k m"], dependent: tuple[int, ...]
+) -> Float[Array, ""]:
+    """Determinant of what rows of unit length have of the dependent speeds."""
+    alike = C / jnp.sqrt(jnp.sum(C * C, axis=1))[:, None]
+    bound = jnp.asarray(np.eye(C.shape[1])[:, list(dependent)], C.dtype)
+    return determinant(alike @ bound)
+
+
+def share_of(system: KaneSystem, C: Float[Array, "k m"]) -> Float[Array, ""]:
+    """The determinant, of the least that a motion may have; below one it ends."""
+    assert system.side is not None
+    return _of_unit_rows(C, system.dependent) * system.side
+
+
+def of_side(system: KaneSystem, side: Any) -> KaneSystem:
+    """A system with dependent speeds as a motion's; others as they are."""
+    if not system.dependent:
+        return system
+    alone: Callable[[object], bool] = lambda x: x is None
+    return eqx.tree_at(lambda s: s.side, system, side, is_leaf=alone)
 
 
 def undetermined(system: KaneSystem, t: Array, state: KaneState) -> Array:
     """Whether a run that got stuck did so as its dependent speeds are not determined.
 
     Args:
-        system: The system.
+        system: The system, of a motion.
         t: Time that was reached [s].
         state: State that was reached.
     """
-    if not system.dependent:
-        return jnp.asarray(False)
-    C = _by_speeds(system, t, state)
-    alike = C / jnp.sqrt(jnp.sum(C * C, axis=1))[:, None]
-    return ~(jnp.abs(_determinant(alike @ _bound(system, C.dtype))) > NEAR)
+    return ~(share_of(system, _by_speeds(system, t, state)) > 1.0 + _THERE)
 
 
 def _by_speeds(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, "k m"]:
@@ -67,31 +111,3 @@ def _by_speeds(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, "
 
     rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
     return cast(Array, jax.jacfwd(violated)(rest))
-
-
-def _bound(system: KaneSystem, dtype: Any) -> Float[Array, "m k"]:
-    """Takes the dependent ones of all speeds."""
-    size = system.speeds + system.auxiliary
-    return jnp.asarray(np.eye(size)[:, list(system.dependent)], dtype)
-
-
-def _determinant(C: Float[Array, "k k"]) -> Float[Array, ""]:
-    """By elimination, the largest of each column first; unrolled where it is small."""
-    size = C.shape[0]
-    if size > UNROLLED:
-        return cast(Array, jnp.linalg.det(C))
-    rows = [components(row) for row in C]
-    found = jnp.ones((), C.dtype)
-    for j in range(size):
-        for i in range(j + 1, size):
-            larger = jnp.abs(rows[i][j]) > jnp.abs(rows[j][j])
-            pairs = list(zip(rows[j], rows[i], strict=True))
-            rows[j] = [jnp.where(larger, b, a) for a, b in pairs]
-            rows[i] = [jnp.where(larger, -a, b) for a, b in pairs]
-        pivot = rows[j][j]
-        found = found * pivot
-        safe = jnp.where(pivot == 0.0, 1.0, pivot)
-        for i in range(j + 1, size):
-            share = rows[i][j] / safe
-            rows[i] = [b - share * a for a, b in zip(rows[j], rows[i], strict=True)]
-    return found

@@ -19,6 +19,7 @@ from ..geometry.small_linear import cross
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
 from .closure import kept_state, kept_well
+from .dependent_speeds import share_of
 from .implied_rows import while_they_follow
 from .linear_solves import followed, inverse_of, solved
 from .partial_velocities import (
@@ -291,6 +292,8 @@ def speeds_of(
         return Speeds(u, free + follow @ (C @ free), follow)
     bound = _places(size, system.dependent, u.dtype)
     follow = -bound @ inverse_of(C @ bound)
+    if system.side is not None:  # beyond where they are determined there is no motion
+        follow = jnp.where(share_of(system, C) > 1.0, follow, jnp.nan)
     u = u + follow @ partials.at("constraints", u)
     return Speeds(u, free + follow @ (C @ free), follow)
 

@@ -14,18 +14,40 @@ from ..geometry.small_linear import components, cross, matmul, solve_spd
 SINGULAR = 1e-12
 # of 1 - C X: of a matrix that can be inverted, roundings; else of order one
 _INVERTED = 1e-3
-UNROLLED = 12  # larger systems are solved by lineax
+_UNROLLED = 12  # larger systems are solved by lineax
 
 
 def solved(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"]:
     """A symmetric positive definite system, unrolled where it is small."""
     size = rhs.shape[0]
-    if size <= UNROLLED:
+    if size <= _UNROLLED:
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     operator = lx.MatrixLinearOperator(M, lx.positive_semidefinite_tag)
     solution = lx.linear_solve(operator, rhs, lx.Cholesky(), throw=False)
     return cast(Array, solution.value)
+
+
+def determinant(C: Float[Array, "k k"]) -> Float[Array, ""]:
+    """By elimination, the largest of each column first; unrolled where it is small."""
+    size = C.shape[0]
+    if size > _UNROLLED:
+        return cast(Array, jnp.linalg.det(C))
+    rows = [components(row) for row in C]
+    found = jnp.ones((), C.dtype)
+    for j in range(size):
+        for i in range(j + 1, size):
+            larger = jnp.abs(rows[i][j]) > jnp.abs(rows[j][j])
+            pairs = list(zip(rows[j], rows[i], strict=True))
+            rows[j] = [jnp.where(larger, b, a) for a, b in pairs]
+            rows[i] = [jnp.where(larger, -a, b) for a, b in pairs]
+        pivot = rows[j][j]
+        found = found * pivot
+        safe = jnp.where(pivot == 0.0, 1.0, pivot)
+        for i in range(j + 1, size):
+            share = rows[i][j] / safe
+            rows[i] = [b - share * a for a, b in zip(rows[j], rows[i], strict=True)]
+    return found
 
 
 def inverse_of(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
@@ -38,7 +60,7 @@ def inverse_of(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
         cofactors = jnp.stack([cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])])
         det = jnp.sum(a[0] * cofactors[0])
         inverse = cofactors.T[:size, :size] / det
-    elif size <= UNROLLED:
+    elif size <= _UNROLLED:
         return _by_squares(C)
     else:
         # needs row exchanges: 1.1 us for four, 1.4 us for six by LAPACK, one call
@@ -83,7 +105,7 @@ def followed(M: Float[Array, "m m"], C: Float[Array, "c m"]) -> Float[Array, "m 
 def _solved_many(M: Float[Array, "m m"], rhs: Float[Array, "m k"]) -> Array:
     """``M^-1 rhs``, unrolled where it is small."""
     size = M.shape[0]
-    if size <= UNROLLED:
+    if size <= _UNROLLED:
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     factor = jax.scipy.linalg.cho_factor(M)

@@ -21,7 +21,7 @@ from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError, is_traced, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
-from .dependent_speeds import sides, undetermined
+from .dependent_speeds import of_side, on_its_side, undetermined
 from .equations import (
     all_speeds,
     allowed_state,
@@ -93,7 +93,8 @@ class KaneTrajectory(eqx.Module):
     @property
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
-        fields = Fields.of(self.system, self.final_state, "system")
+        moved = of_side(self.system, self.final_time)  # with as many numbers
+        fields = Fields.of(moved, self.final_state, "system")
         row = ""
         if int(self.code) == Code.NO_LONGER_REDUNDANT:
             found = _lost(self.system, self.final_time, self.final_state)
@@ -180,9 +181,11 @@ def simulate(
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
     rtol, atol = tolerances(rtol, atol, dtype)
-    refuse_start(system, times[0], start, rtol)
+    seen = refuse_start(system, times[0], start, rtol)
+    known = None if seen is None else seen.by_speeds
+    moving = on_its_side(system, times[0], start, rtol, known)
     ready = prepared(
-        *(_PROBLEM, system, times),
+        *(_PROBLEM, moving, times),
         rtol=rtol,
         atol=atol,
         solver=solver,
@@ -193,15 +196,14 @@ def simulate(
         max_steps=max_steps,
         progress_meter=progress_meter,
     )
-    run = functools.partial(ready, start)
-    kind = "kane", type(solver)
+    run, kind = functools.partial(ready, start), ("kane", type(solver))
     outcome, method, why = run_by(method, refusal, kind, (system, start), run)
     state, final, code = outcome.state, outcome.final_state, outcome.code
     if system.projection is not None or system.implied is not None:
         ended = outcome.final_time, final
         state, final, code = _on_constraints(system, outcome.time, state, *ended, code)
     if system.dependent and (is_traced(code) or is_stuck(code.item())):
-        code = _explained(system, outcome.final_time, final, code, outcome.fault)
+        code = _explained(moving, outcome.final_time, final, code, outcome.fault)
     return KaneTrajectory(
         time=outcome.time,
         state=state,
@@ -291,7 +293,7 @@ def _corners(system: KaneSystem) -> tuple[Array | None, int]:
     return system.kinks, BESIDE_JUMPS
 
 
-_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state, sides)
+_PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
 
 
 def _checked_start(system: KaneSystem, start: object) -> KaneState:

@@ -45,7 +45,7 @@ def refuse_start(
     t: float | Array | np.ndarray,
     state: KaneState,
     rtol: float | Array | None = None,
-) -> None:
+) -> Examined | None:
     """Refuse a start from which the equations do not determine the motion, and say why.
 
     Args:
@@ -54,15 +54,21 @@ def refuse_start(
         state: Coordinates and independent speeds.
         rtol: Relative tolerance of the motion [1]; None for the default.
 
+    Returns:
+        What was looked at; None: numbers that are traced, or are none.
+
     Raises:
         FieldError: what ``refuse`` raises. Nothing is said of numbers that are still
             traced.
     """
     if is_traced(system, t, state):
-        return
-    if all(np.isfinite(x).all() for x in (state.q, state.u)):  # else the run says it
-        known = np.asarray(t, np.asarray(state.q).dtype)  # by JAX it could be traced
-        refuse(system, t, state, _examined(system, cast(Array, known), state), rtol)
+        return None
+    if not all(np.isfinite(x).all() for x in (state.q, state.u)):
+        return None  # the run says it
+    known = np.asarray(t, np.asarray(state.q).dtype)  # by JAX it could be traced
+    found = _examined(system, cast(Array, known), state)
+    refuse(system, t, state, found, rtol)
+    return found
 
 
 @for_one_call
@@ -143,7 +149,8 @@ def _refuse_undetermined(system: KaneSystem, found: Examined, where: str) -> Non
         return
     C = np.asarray(found.by_speeds, float)
     rows = C / np.linalg.norm(C, axis=1, keepdims=True)
-    if not abs(np.linalg.det(rows[:, list(system.dependent)])) > NEAR:
+    bound = rows[:, list(system.dependent)]
+    if not (np.isfinite(bound).all() and np.linalg.svd(bound)[1][-1] > NEAR):
         raise FieldError(
             "KaneSystem.constraints",
             system.dependent,

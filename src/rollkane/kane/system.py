@@ -57,6 +57,8 @@ class KaneSystem(eqx.Module):
         parameters: Numbers that the functions depend on.
         shared: What several functions need, evaluated once; None for none.
         kinks: Times at which functions of time jump [s]; None: none are known.
+        side: Of a motion's system, one over the least determinant that the constraints
+            may have of the dependent speeds, with its sign; None: of no motion.
     """
 
     kinematics: GivenFunction
@@ -70,6 +72,7 @@ class KaneSystem(eqx.Module):
     parameters: Any
     shared: GivenFunction | None
     kinks: Float[Array, " k"] | None
+    side: Float[Array, ""] | None
     coordinates: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     dependent: tuple[int, ...] = eqx.field(static=True)
@@ -148,7 +151,7 @@ class KaneSystem(eqx.Module):
         self.coordinates, self.speeds = coordinates, speeds
         self.auxiliary = auxiliary
         self.parameters = as_floats(parameters)
-        self.kinks = checked_kinks("KaneSystem.kinks", kinks)
+        self.kinks, self.side = checked_kinks("KaneSystem.kinks", kinks), None
         example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
         more = self.parameters
         self.shared = None
