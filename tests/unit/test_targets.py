@@ -16,6 +16,20 @@ from .test_call_interface import DOUBLE, needs_compiler
 pytestmark = needs_compiler
 
 
+@pytest.fixture(scope="module", autouse=True)
+def slots_of_their_own():
+    """Those of the process may have gone to programs of other tests: 128 of them."""
+    few = 16
+    entries = " ".join(f"ENTRY({i})" for i in range(few))
+    head = f"#define SLOTS {few}\n#define ENTRIES {entries}"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(targets, "_SLOTS", few)
+        patch.setattr(targets, "LATE", (head, "late_call.c"))
+        late = targets._Late()
+        patch.setattr(targets, "_made", lambda: late)
+        yield
+
+
 def call_of(text):
     """A function in C, of one array to another of its shape."""
     call = XlaCall(np.float64, 1, {}, (text,))
