@@ -28,7 +28,9 @@ _WRITES = {
     "scatter_max": "max",
 }
 BY_INDEX = frozenset(("gather", *_WRITES))
-_MOST = 1_000_000  # places times numbers that are written: a second of NumPy
+# Places times numbers that are written: 8 MB of ones and zeros, in 0.03 s, and 0.4 s
+# for the first of a shape, which XLA compiles
+_MOST = 1_000_000
 
 
 def by_known_index(

@@ -23,12 +23,14 @@ from .system import KaneState, KaneSystem
 # Least singular value of rows of unit length that a start may have: rates of one with
 # less are known to 1e-16 / 1e-12.
 NEAR = 1e-6
-# A motion's may fall to the root of its tolerance, some times, of what it began with,
-# as errors go with one over its square; and to a hundredth in loose runs
+# A motion's determinant may fall to three times the root of the tolerance, of what it
+# began with: errors go with one over its square, and are a ninth of the rates there. Of
+# tolerances above 1e-5 that would be much of what motions do: a hundredth is enough
 _TIMES, _LOOSE = 3.0, 1e-2
-# So many rows; of more, each may become shorter without any harm
+# That counts for so many rows, a fourth root each: of many, all may become a little
+# shorter, as those of a chain of 15 links do, and nothing is undetermined
 _FEW = 4
-# How near to that a run is stuck: far beyond the clock's steps
+# How near to that a run is stuck: steps of the clock, 1e-14 of it, are far below
 _THERE = 1e-3
 
 

@@ -73,7 +73,8 @@ def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
     same = better.eigenvalues[np.argmin(np.abs(better.eigenvalues - lead))]
     error = better.told.errors[np.argmin(np.abs(better.eigenvalues - lead))]
     # where two have met, one falls as fast as the other grows; else one passed alone,
-    # and may be on the axis at the better end
+    # and may be on the axis at the better end. Mirrored: one is nearer to the mirror
+    # image than the axis is
     mirrored = np.abs(worse.eigenvalues + lead.conjugate()).min() < abs(lead.real)
     if same.real < -10.0 * error or not mirrored:
         middle = 0.5 * (lead + complex(same))
