@@ -14,6 +14,7 @@ from ..geometry.small_linear import components, dot
 from ..geometry.surfaces import AbstractSurface
 from ..validation.checks import FieldError, is_traced, positive, real, refuse
 from ..validation.shown import described
+from .precision import at_precision
 
 # What a user writes for three numbers, and for three rows of them.
 Vector: TypeAlias = ArrayLike | Sequence[ArrayLike]
@@ -112,7 +113,7 @@ def checked_inertia(
     """
     tensor = real(field, inertia, (3, 3), "the 3 x 3 tensor in kg m^2")
     # rounding of the user's own arithmetic: 1e-9 of the largest entry is 1e7 ulp
-    slack = 1e-9 if tensor.dtype == jnp.float64 else 1e-4
+    slack = at_precision(1e-9, tensor)
 
     def not_symmetric(t: _Known) -> Any:
         return abs(t - t.T).max() > slack * abs(t).max()

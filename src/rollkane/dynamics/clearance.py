@@ -24,6 +24,7 @@ from ..kinematics.coordinates import FlyingState
 from ..kinematics.voronets import AnyState
 from ..validation.codes import Code, is_stuck
 from ..validation.remembered import of_numbers
+from .precision import at_precision
 from .rolling import contact_of
 from .scene import Scene
 
@@ -36,9 +37,28 @@ _AT_ONCE = 64  # samples evaluated together: memory is theirs
 _Map: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, "3"]]
 # Signed distance of a point [m]; None: a surface without an inside.
 _Level: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, ""] | None]
-# A surface to look along, the other's level, the way to base axes, whether the level
-# takes a search.
-_Side: TypeAlias = tuple[AbstractSurface, _Level, _Map, bool]
+
+
+class _Side(NamedTuple):
+    """A surface to look along.
+
+    Attributes:
+        surface: Whose samples are looked at.
+        level: Of the other [m].
+        on_base: From axes of the surface to those of the base.
+        searched: Whether the level takes a search over samples of its own.
+        dtype: Of places.
+    """
+
+    surface: AbstractSurface
+    level: _Level
+    on_base: _Map
+    searched: bool
+    dtype: Any
+
+    def value(self, u: Float[Array, " k"]) -> Float[Array, ""]:
+        """The level at coordinates [m]."""
+        return _known(self.level(self.surface.point(u)))
 
 
 class Clearance(NamedTuple):
@@ -60,7 +80,7 @@ def may_touch_twice(scene: Scene) -> bool:
     body, base = scene.body.surface, scene.base.surface
     if _are_convex(scene) or not body.is_bounded:
         return False
-    return _has_inside(body) or _has_inside(base)
+    return _has_inside(body, scene) or _has_inside(base, scene)
 
 
 def nearest_is_found(scene: Scene) -> bool:
@@ -72,9 +92,9 @@ def _are_convex(scene: Scene) -> bool:
     return scene.body.surface.is_convex and scene.base.surface.is_convex
 
 
-def _has_inside(surface: AbstractSurface) -> bool:
-    like = jax.ShapeDtypeStruct((3,), jnp.result_type(float))
-    return jax.eval_shape(surface.signed_distance, like) is not None
+def _has_inside(surface: AbstractSurface, scene: Scene) -> bool:
+    point = jax.ShapeDtypeStruct((3,), scene.body.mass.dtype)
+    return jax.eval_shape(surface.signed_distance, point) is not None
 
 
 def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
@@ -87,12 +107,12 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
     """
     body = scene.body.surface
     found: list[tuple[Array, Array]] = []
-    for surface, level, on_base, searched in _sides(scene, t, state):
-        gap, place = _lowest(surface, level, searched)
-        found.append((gap, on_base(place)))
-        if surface is body and body.has_face:
-            gaps, faces = _face_candidates(body, level, 1, searched)
-            found.append((gaps[0], on_base(faces[0])))
+    for side in _sides(scene, t, state):
+        gap, place = _lowest(side)
+        found.append((gap, side.on_base(place)))
+        if side.surface is body and body.has_face:
+            gaps, faces = _face_candidates(side, 1)
+            found.append((gaps[0], side.on_base(faces[0])))
     gaps, places = (jnp.stack(x) for x in zip(*found, strict=True))
     least = jnp.argmin(gaps)
     return Clearance(gaps[least], places[least], reach_of(body, gaps.dtype))
@@ -128,14 +148,14 @@ def lowest_places(
     if len(sides) > 1 and body.searches_distance and not base.searches_distance:
         sides = sides[:1]
     found = [
-        (gaps, jax.vmap(on_base)(jax.vmap(surface.point)(u)))
-        for surface, level, on_base, searched in sides
-        for gaps, u in [_candidates(surface, level, _NEAREST, searched)[:2]]
+        (gaps, jax.vmap(side.on_base)(jax.vmap(side.surface.point)(u)))
+        for side in sides
+        for gaps, u in [_candidates(side, _NEAREST)]
     ]
-    for surface, level, on_base, searched in sides:
-        if surface is body and body.has_face:
-            gaps, faces = _face_candidates(body, level, _NEAREST, searched)
-            found.append((gaps, jax.vmap(on_base)(faces)))
+    for side in sides:
+        if side.surface is body and body.has_face:
+            gaps, faces = _face_candidates(side, _NEAREST)
+            found.append((gaps, jax.vmap(side.on_base)(faces)))
     gaps, places = (jnp.concatenate(x) for x in zip(*found, strict=True))
     return gaps, places
 
@@ -147,12 +167,14 @@ def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
     placed: _Map = lambda x: origin + matvec(to_base, x)
     back: _Map = lambda x: matvec_transposed(to_base, x - origin)
     sides: list[_Side] = []
-    if _has_inside(base):
+    dtype = origin.dtype
+    if _has_inside(base, scene):
         level: _Level = lambda x: base.signed_distance(placed(x))
-        sides.append((body, level, placed, base.searches_distance))
-    if _has_inside(body) and not base.is_flat:
+        sides.append(_Side(body, level, placed, base.searches_distance, dtype))
+    if _has_inside(body, scene) and not base.is_flat:
         level = lambda x: body.signed_distance(back(x))
-        sides.append((base, level, lambda x: x, body.searches_distance))
+        as_it_is: _Map = lambda x: x
+        sides.append(_Side(base, level, as_it_is, body.searches_distance, dtype))
     return sides
 
 
@@ -184,7 +206,7 @@ def depth_of_touch(size: Float[Array, ""]) -> Float[Array, ""]:
     Args:
         size: Of the body, from its origin [m].
     """
-    return (1e-9 if size.dtype == jnp.float64 else 1e-4) * size
+    return at_precision(1e-9, size) * size
 
 
 def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:
@@ -219,41 +241,34 @@ def flying_pose(
 
 
 def _candidates(
-    surface: AbstractSurface, level: _Level, count: int, searched: bool
-) -> tuple[
-    Float[Array, " m"],
-    Float[Array, "m k"],
-    Callable[[Float[Array, " k"]], Float[Array, ""]],
-]:
+    side: _Side, count: int
+) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
     """Levels and coordinates of the samples with the lowest levels around them.
 
     Args:
-        surface: Whose samples.
-        level: Of a point [m].
+        side: Whose samples.
         count: How many, at most.
-        searched: Whether the level takes a search over samples of its own.
 
     Returns:
-        Levels, infinite where there are fewer; coordinates; the level at coordinates.
+        Levels, infinite where there are fewer; coordinates.
     """
-    samples = jnp.asarray(surface.samples(), jnp.result_type(float))
-
-    def value(u: Float[Array, " k"]) -> Float[Array, ""]:
-        return _known(level(surface.point(u)))
-
-    levels, chosen = _least_of(value, samples, surface.lattice(), count, searched)
-    return levels, samples[chosen], value
+    surface = side.surface
+    samples = jnp.asarray(surface.samples(), side.dtype)
+    near = surface.lattice()
+    levels, chosen = _least_of(side.value, samples, near, count, side.searched)
+    return levels, samples[chosen]
 
 
 def _face_candidates(
-    body: AbstractSurface, level: _Level, count: int, searched: bool
+    side: _Side, count: int
 ) -> tuple[Float[Array, " m"], Float[Array, "m 3"]]:
     """The same of samples of a body's flat: levels, and the points themselves."""
+    body = side.surface
     lattice = body.face_samples()
     assert lattice is not None
-    points = jax.vmap(body.face_point)(jnp.asarray(lattice, jnp.result_type(float)))
-    value: Callable[[Array], Array] = lambda x: _known(level(x))
-    levels, chosen = _least_of(value, points, lattice, count, searched)
+    points = jax.vmap(body.face_point)(jnp.asarray(lattice, side.dtype))
+    value: Callable[[Array], Array] = lambda x: _known(side.level(x))
+    levels, chosen = _least_of(value, points, lattice, count, side.searched)
     return levels, points[chosen]
 
 
@@ -273,18 +288,10 @@ def _least_of(
     return -lowest, chosen
 
 
-def _lowest(
-    surface: AbstractSurface, level: _Level, searched: bool
-) -> tuple[Float[Array, ""], Float[Array, "3"]]:
-    """The least level of a surface's points, and the point that has it.
-
-    Args:
-        surface: Whose points.
-        level: Of a point [m].
-        searched: Whether the level takes a search over samples of its own.
-    """
-    _, chosen, value = _candidates(surface, level, _LOWEST, searched)
-    dtype = chosen.dtype
+def _lowest(side: _Side) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """The least level of a surface's points, and the point that has it."""
+    surface, dtype = side.surface, side.dtype
+    _, chosen = _candidates(side, _LOWEST)
     spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
     ticks = np.linspace(-1.0, 1.0, 5)
     star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
@@ -296,12 +303,12 @@ def _lowest(
             u, reach = carry
             moved: Callable[[Array], Array] = lambda x: surface.neighbour(u, x)
             tried = jax.vmap(moved)(jnp.asarray(star, dtype) * (reach * spacing)[None])
-            best = jnp.argmin(jax.vmap(value)(tried))
+            best = jnp.argmin(jax.vmap(side.value)(tried))
             return (tried[best], reach * _SHRINK), None
 
         start = u, jnp.ones((), dtype)
         (u, _), _ = jax.lax.scan(narrow, start, length=_ROUNDS)
-        return value(u), surface.point(u)
+        return side.value(u), surface.point(u)
 
     gaps, places = jax.vmap(lower)(chosen)
     best = jnp.argmin(gaps)

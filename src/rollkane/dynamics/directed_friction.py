@@ -15,7 +15,9 @@ from jaxtyping import Array, Float, Int
 
 from ..geometry.small_linear import dot, matvec
 from .friction import AbstractFriction
+from .precision import at_precision
 
+# Speeds are those of double precision; of another, see at_precision.
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9
 # [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 its direction lags by ONSET
@@ -91,8 +93,9 @@ def begins(direction: Float[Array, "3"]) -> Array:
 
 def last_way(slip: Float[Array, "3"], direction: Float[Array, "3"]) -> Array:
     """Direction of a slip that may vanish [1]; ``direction``: what it was."""
-    fast = dot(slip, slip) / SMALLEST_SLIP**2
-    moved = slip + SMALLEST_SLIP / (1.0 + fast) * direction
+    smallest = at_precision(SMALLEST_SLIP, slip)
+    fast = dot(slip, slip) / smallest**2
+    moved = slip + smallest / (1.0 + fast) * direction
     squared = dot(moved, moved)  # zero in a lane that does not slip
     return moved / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
 
@@ -118,14 +121,15 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     squared = dot(start, start)  # zero in a lane that does not slip
     begun = start / jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
     carry = jax.lax.stop_gradient(begun), jnp.ones_like(start[0]), jnp.asarray(0)
+    close = at_precision(_CLOSE, start)
     going: Callable[[_Search], Array] = lambda carry: (
-        (carry[1] > _CLOSE) & (carry[2] < _TURNS)
+        (carry[1] > close) & (carry[2] < _TURNS)
     )
     s, angle, _ = jax.lax.while_loop(going, turned, carry)
     turn, slope = _turn(balance, s)
     s = _by_angle(s, -turn / jnp.where(slope == 0.0, 1.0, slope))
     # a slip stays where it does not turn, and turns back to: elsewhere it cannot begin
-    found = (angle <= _CLOSE) & (slope < 0.0)
+    found = (angle <= close) & (slope < 0.0)
     return jnp.where(found, s, jnp.nan)
 
 

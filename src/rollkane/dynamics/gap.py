@@ -80,6 +80,7 @@ def release(
         FieldError: numbers of another shape, a body that is in its base already.
     """
     prepare_calls()  # a run follows
+    dtype = scene.body.mass.dtype
     numbers = {
         "orientation": (orientation, 4),
         "angular_velocity": (angular_velocity, 3),
@@ -89,10 +90,10 @@ def release(
         "alpha_dot": (alpha_dot, scene.coordinate_count),
     }
     e, w, r, v, a, a_dot = (
-        real_and_known(f"release.{name}", value, (size,), "numbers in SI units")
+        real_and_known(f"release.{name}", value, (size,), "numbers in SI units", dtype)
         for name, (value, size) in numbers.items()
     )
-    t = real_and_known("release.time", time, (), "seconds", r.dtype)
+    t = real_and_known("release.time", time, (), "seconds", dtype)
     gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
     apart = (gap >= 0.0) & (gap < jnp.inf)
     place = refuse(

@@ -36,6 +36,7 @@ from .nearest_on_face import (
     rim_over,
     starts_on_rim,
 )
+from .precision import at_precision
 from .scene import Scene
 
 # Newton steps to the nearest points, most: their error squares each time
@@ -151,7 +152,7 @@ def _by_newton(
     far = jnp.full_like(close, jnp.inf)
     carry = jnp.asarray(0), places_of(state), far, far
     _, found, left, gap = jax.lax.while_loop(going, improve, carry)
-    converged = left <= (1e-9 if close.dtype == jnp.float64 else 1e-4) * size
+    converged = left <= at_precision(1e-9, size) * size
     return found, jnp.where(converged, gap, jnp.nan)
 
 

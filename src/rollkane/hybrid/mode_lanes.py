@@ -29,6 +29,7 @@ from ..codegen.member_lanes import SMALL, Told
 from ..codegen.scalar_program import NotElementwiseError
 from ..codegen.tableau import Weights
 from ..dynamics.directed_friction import SMALLEST_SLIP
+from ..dynamics.precision import at_precision
 from ..dynamics.rolling import watches_headings
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, RANGES, dip_tables
@@ -194,7 +195,7 @@ def _in_lanes(
     weights = members.runs.weights
     known = like[:count], list(differ[:count])
     lanes = MemberLanes(
-        program, _places(carried), modes, weights, _bounds(weights), *known
+        program, _places(carried), modes, weights, _bounds(weights, carried), *known
     )
     pairs = zip(arrays, differ, strict=True)
     given = [x if own else x[None] for x, own in pairs]
@@ -238,11 +239,16 @@ def _places(carried: Run) -> tuple[int, Carried]:
     return place, Carried(*parts, first(at.accepted), first(at.tried))
 
 
-def _bounds(weights: Weights) -> Bounds:
+def _bounds(weights: Weights, carried: Run) -> Bounds:
     """What lanes know a plain step by."""
     rows, nodes = weights.padded
     dips = dip_tables(np.concatenate([nodes, BESIDE]))
-    sizes = RANGES, FOLLOWED, SMALLEST_SLIP, SETTLES, NEARER
+    known = carried.place.t
+    followed, smallest = (
+        at_precision(FOLLOWED, known),
+        at_precision(SMALLEST_SLIP, known),
+    )
+    sizes = RANGES, followed, smallest, SETTLES, NEARER
     return Bounds(*sizes, beside_ends(rows[-1]), dips)
 
 

@@ -137,7 +137,17 @@ EndOf: TypeAlias = tuple[Float[Array, "2"], HybridState, HybridState]
 # A state along the direction of its slip, or as it is.
 _Turned: TypeAlias = Callable[[Motion, Array, HybridState, Array, Array], HybridState]
 # What an event changes, or nothing.
-_Changed: TypeAlias = Callable[[Motion, Array, Array, Array, Array, HybridState], Begun]
+_Changed: TypeAlias = Callable[[Motion, "_Before", Array], Begun]
+
+
+class _Before(NamedTuple):
+    """What an event changes, as ``Motion.changed`` takes it."""
+
+    mode: Array
+    kind: Array
+    direction: Array
+    t: Array
+    y: HybridState
 
 
 class Record(NamedTuple):
@@ -146,7 +156,8 @@ class Record(NamedTuple):
     Attributes:
         steps: A row for each: where it ended [s], where the next one began [s], which
             event it ended on, or -1, and its value there (infinite: it happened at once
-            behind the change before it), which output it ended on, or 0, shape (N, 5).
+            behind the change before it; negative: a landing that stays), which output
+            it ended on, or 0, shape (N, 5).
         changed: States that events changed, each in one array, shape (S, n).
         kept: Where the run was at its start, and behind each step, N + 1 of them.
         counted: How many steps there are, and how many of them ended on an event.
@@ -242,6 +253,11 @@ class Taken(NamedTuple):
         """Whether its event happened at once behind the change before it."""
         return jnp.isinf(self.row[_VALUE])
 
+    @property
+    def rests(self) -> Bool[Array, ""]:
+        """Whether it was a landing behind a flight that was rounding."""
+        return self.row[_VALUE] == -jnp.inf
+
     def ends(
         self, times: Float[Array, " T"], since: Float[Array, ""]
     ) -> Float[Array, ""]:
@@ -311,15 +327,15 @@ class Taken(NamedTuple):
         """
         mode, kind = self.begun.mode, self.kind
 
-        changed: _Changed = lambda motion, mode, kind, direction, t, y: motion.changed(
-            mode, kind, direction, t, y
+        changed: _Changed = lambda motion, before, rests: motion.changed(
+            *before, rests=rests
         )
-        same: _Changed = lambda motion, mode, kind, direction, t, y: (
-            mode,
-            direction,
-            y,
+        same: _Changed = lambda _motion, before, _rests: (
+            before.mode,
+            before.direction,
+            before.y,
         )
-        known = motion, mode, kind, direction, t, y
+        known = motion, _Before(mode, kind, direction, t, y), self.rests
         mode, direction, y = cond(known, kind >= 0, changed, same)
         shown = Place(t, y, mode, motion.along(mode, direction, y))
         end, begin = self.row[_END], self.row[_BEGIN]

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..dynamics.precision import at_precision
 from ..geometry.small_linear import dot
 from .mode_rates import Step
 from .mode_replay import Place
@@ -14,6 +15,8 @@ SETTLES = 2.0
 # Of the time until a slip ends, in one step: tangents of an ellipsoid's end are then
 # known to 5e-12 (Dopri8 at rtol 1e-9), to 5e-11 with a half
 NEARER = 0.25
+# [m/s]: a slip is regular down to SMALLEST_SLIP, and ends within it
+_ENDED_SLIP = 30.0 * SMALLEST_SLIP
 
 
 def longest_step(
@@ -36,9 +39,10 @@ def _while_it_turns(at: Place, end: Step) -> Float[Array, ""]:
     Friction turns it at a rate mu N / r, stiff where r is small. A straight slip does
     not show it; what differs from it, its tangents, would grow with each step.
     """
-    slip = jnp.sqrt(dot(end.y.slip, end.y.slip)) + SMALLEST_SLIP
+    slip = jnp.sqrt(dot(end.y.slip, end.y.slip))
+    slip = slip + at_precision(SMALLEST_SLIP, slip)
     turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
-    turns &= (slip > ONSET) | ~begins(at.direction)
+    turns &= (slip > at_precision(ONSET, slip)) | ~begins(at.direction)
     turn = jnp.where(turns, end.turn, 1.0)
     return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
 
@@ -56,7 +60,8 @@ def _before_its_end(
     ends = (at.mode == Mode.SLIPPING) & ~begins(at.direction)
     ends &= (lost > 0.0) & (left > 0.0)
     taken = t - at.t  # and what the law leaves of it: so it does end
-    until = (left + SMALLEST_SLIP) * taken / jnp.where(ends, lost, 1.0)
+    left = left + at_precision(SMALLEST_SLIP, left)
+    until = left * taken / jnp.where(ends, lost, 1.0)
     return jnp.where(ends, NEARER * until, jnp.inf)
 
 
@@ -67,5 +72,13 @@ def is_as_it_began(at: Place, end: Step) -> Bool[Array, ""]:
     its tangents need, is rounding there.
     """
     squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
-    fast = (squared > (2.0 * ONSET) ** 2) | (lifts & (squared > ONSET**2))
+    onset = at_precision(ONSET, squared)
+    fast = (squared > (2.0 * onset) ** 2) | (lifts & (squared > onset**2))
     return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
+
+
+def has_turned(at: Place, end: Step) -> Bool[Array, ""]:
+    """Whether a slip that stands across its old direction has turned, not ended."""
+    squared = dot(end.y.slip, end.y.slip)
+    ended = at_precision(_ENDED_SLIP, squared)
+    return (squared > ended**2) & ~begins(at.direction)

@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen import least_product
-from ..dynamics.directed_friction import SMALLEST_SLIP, begins
+from ..dynamics.directed_friction import begins
 from ..dynamics.gap import closing
+from ..dynamics.precision import at_precision
 from ..dynamics.rolling import headings, watches_headings
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import dot
@@ -27,15 +28,12 @@ from .flight_bounds import doubt_in_flight, rounding
 from .mode_rates import Step
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode, as_it_is
-from .slip_bounds import is_as_it_began, longest_step
+from .slip_bounds import has_turned, is_as_it_began, longest_step
 from .transitions import Motion
 from .user_events import Watched
 
 _ROOT = 1e-12  # of the event's value at the step's start
 _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
-# A slip is regular down to SMALLEST_SLIP; one that is larger where it stands across its
-# old direction has turned, not ended
-_ENDED_SLIP = 30.0 * SMALLEST_SLIP
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)
 _CUTS = 24
@@ -163,7 +161,7 @@ class Trials(eqx.Module):
         motion, at = self.motion, c.place
         flies = at.mode == Mode.FLYING
         least = jnp.min(end.values / _scale(c.values))
-        quiet = good & (least >= -_ROOT) & (c.cuts < _CUTS)
+        quiet = good & (least >= -at_precision(_ROOT, least)) & (c.cuts < _CUTS)
         last = motion.tableau.nodes.shape[0] - 1
         one = jnp.ones_like(t1)
         clear = Doubt(jnp.asarray(False), one, jnp.inf * one)
@@ -232,13 +230,12 @@ class Trials(eqx.Module):
         known = jnp.isfinite(least)
         # an output right behind an event: nothing can happen, or be seen, between
         fresh, looks = jnp.isnan(c.values[0]), c.looks
-        short = STAYS * (1.0 + jnp.abs(c.place.t))
+        short = at_precision(STAYS, taken) * (1.0 + jnp.abs(c.place.t))
         brief = taken <= jnp.where(fresh, short, tiny)
         blinks = (tried.lands | looks) & brief & (size <= 1.0)
         kind = self.first_of(c, tried.end.values, share)
-        ends = jnp.asarray(False)
-        if c.watched is not None:
-            ends = c.watched.ends_on_change(taken, tiny)
+        watched = c.watched
+        ends = False if watched is None else watched.ends_on_change(taken, tiny)
         value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
         falls, landed = self.falls_back(c, tried, rate)
         # one search at a time: a try within a step that stood has no change to look for
@@ -258,7 +255,8 @@ class Trials(eqx.Module):
         bracket = c.bracket.after(begins, taken, value, rate, flies)
         exact, closed = self.located(c, tried, least, begins, bracket, tiny)
         found = known & ~hides & exact
-        turned = found & self.has_turned(c.place, tried.end, kind)
+        turned = found & self.motion.ends_slip(c.place.mode, kind)
+        turned &= has_turned(c.place, tried.end)
         event = (found & ~turned) | at_once | (good & ends)
         accept = (good & ~negative & ~c.searching) | event | turned
         step = self.next_step(tried, taken, size, early | ~known)
@@ -298,8 +296,9 @@ class Trials(eqx.Module):
         off = jnp.abs(bracket.off)
         # no closer: rounding is what is left of the value
         stays = jnp.abs(bracket.value) >= jnp.abs(c.bracket.value)
-        stays &= off <= STAYS * (1.0 + jnp.abs(tried.t))
-        exact = (jnp.abs(least) <= _ROOT) | (off <= tiny) | closed | stays
+        stays &= off <= at_precision(STAYS, off) * (1.0 + jnp.abs(tried.t))
+        root = jnp.abs(least) <= at_precision(_ROOT, least)
+        exact = root | (off <= tiny) | closed | stays
         # what is left until a change may be too short for the clock from the start
         return jnp.where(c.searching, exact, begins & closed), closed
 
@@ -311,7 +310,7 @@ class Trials(eqx.Module):
         """
         share = values / _scale(c.values)
         blind = (c.place.mode == Mode.SLIPPING) & begins(c.place.direction)
-        blind &= jnp.abs(share[1]) <= _TOGETHER
+        blind &= jnp.abs(share[1]) <= at_precision(_TOGETHER, share)
         return share.at[0].set(jnp.where(blind, 1.0, share[0]))
 
     def first_of(
@@ -324,14 +323,15 @@ class Trials(eqx.Module):
         values that are rounding no share is known: it is the one that was looked for.
         """
         worst, hold = jnp.argmin(share), self.motion.modes.sticking
-        least = -_TOGETHER * _scale(c.values)[0]
+        together = at_precision(_TOGETHER, values)
+        least = -together * _scale(c.values)[0]
         if hold is not None:
             # grip behind the normal force's zero, where friction goes to zero with it:
             # -sqrt(m^2 + |T|^2) of |T| < |m|, 1.4 |m| at most (ModeRates._grip)
-            spent = 2.0 * hold * jnp.abs(values[1]) + _TOGETHER * _scale(c.values)[1]
+            spent = 2.0 * hold * jnp.abs(values[1]) + together * _scale(c.values)[1]
             least = jnp.where(c.place.mode == Mode.ROLLING, -spent, least)
-        kind = jnp.where((share[1] <= _TOGETHER) & (values[0] >= least), 1, worst)
-        lasts = c.looks | (c.searching & (share[kind] > _TOGETHER))
+        kind = jnp.where((share[1] <= together) & (values[0] >= least), 1, worst)
+        lasts = c.looks | (c.searching & (share[kind] > together))
         return jnp.where(lasts, c.kind, kind)
 
     def next_step(
@@ -361,17 +361,12 @@ class Trials(eqx.Module):
     ) -> Array:
         """How long the step behind one that stands is tried."""
         # behind a change shorter ones would see rounding, and take it for another: of
-        # this one six digits are above that of the clock
-        step = jnp.where(event, jnp.maximum(step, 1e6 * tiny), step)
+        # this one six digits are above that of the clock (in double precision)
+        digits = 1.0 / at_precision(1e-6, tiny)
+        step = jnp.where(event, jnp.maximum(step, digits * tiny), step)
         step = jnp.where(tried.lands, jnp.maximum(step, c.step), step)
         settles = longest_step(c.place, c.values[0], tried.t, tried.end)
         return jnp.where(event, step, jnp.minimum(step, settles))
-
-    def has_turned(self, at: Place, end: Step, kind: Int[Array, ""]) -> Array:
-        """Whether a slip stands across its old direction without having ended."""
-        squared = dot(end.y.slip, end.y.slip)
-        turned = (squared > _ENDED_SLIP**2) & ~begins(at.direction)
-        return self.motion.ends_slip(at.mode, kind) & turned
 
     def stands(self, at: Place, tried: Tried) -> Array:
         """Whether no normal passed where its contact jumps, nor the body its base.

@@ -15,6 +15,7 @@ from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
 from ..dynamics.gap import in_flight
 from ..dynamics.impacts import Rebound, impact
 from ..dynamics.mass_matrix import assemble
+from ..dynamics.precision import at_precision
 from ..dynamics.rolling import at_contact, contact_of, rolling_derivative
 from ..geometry.small_linear import (
     components,
@@ -57,8 +58,8 @@ class Motion(ModeRates):
         stands across its old direction has its own, too: it would be found there again.
         """
         fast = dot(y.slip, y.slip)
-        onset, followed = jnp.asarray((ONSET, FOLLOWED), fast.dtype)
-        least = jnp.where(begins(direction), onset, followed)
+        onset, followed = (at_precision(bound, fast) for bound in (ONSET, FOLLOWED))
+        least = jnp.where(begins(direction), onset, jnp.asarray(followed, fast.dtype))
         known = (mode == Mode.SLIPPING) & ((fast > least**2) | turned)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction
@@ -84,9 +85,11 @@ class Motion(ModeRates):
         t: Float[Array, ""],
         y: HybridState,
         happens: Bool[Array, ""] | bool = True,
+        rests: Bool[Array, ""] | bool = False,
     ) -> Begun:
         """Mode, direction and state after an event, if one happens.
 
+        A landing that ``rests`` has no rebound: the flight before it was rounding.
         Where the contact is lost (kind 1) nothing else counts. Of a body that never
         slips, where it can neither roll nor leave, and of one that cannot grip on
         rubber (:meth:`jams`) the slip is NaN.
@@ -97,7 +100,7 @@ class Motion(ModeRates):
         touching, flying, up = still, y, jnp.asarray(False)
         impulse = None
         if self.lands:
-            hit = self._hit(t, y, flies & happens)
+            hit = self._hit(t, y, flies & happens, rests)
             if self.scenes.rolling.contact.without_spin:
                 impulse = jnp.where(flies, hit.impulse, 0.0)
             touching, up = picked(flies, of(hit.touching), still), hit.speed > 0.0
@@ -169,13 +172,18 @@ class Motion(ModeRates):
         return int(Code.PAINLEVE if never else Code.NEITHER_GRIPS_NOR_SLIPS)
 
     def _hit(
-        self, t: Float[Array, ""], y: HybridState, happens: Bool[Array, ""]
+        self,
+        t: Float[Array, ""],
+        y: HybridState,
+        happens: Bool[Array, ""],
+        rests: Bool[Array, ""] | bool,
     ) -> Rebound:
         """After an impact; without one, what costs least."""
         modes, scene = self.modes, self.scenes.rolling
         e = modes.restitution
         assert e is not None
-        numbers = e, modes.friction, modes.rest_speed
+        slowest = jnp.where(rests, jnp.inf, modes.rest_speed)
+        numbers = e, modes.friction, slowest
         return impact(scene, t, y.flying(), *numbers, modes.impact, happens)
 
     def has_begun(
@@ -186,7 +194,7 @@ class Motion(ModeRates):
         ends: Bool[Array, ""],
     ) -> Bool[Array, ""]:
         """Whether a slip that began is fast enough to be followed, or ends before."""
-        fast = dot(y.slip, y.slip) > ONSET**2
+        fast = dot(y.slip, y.slip) > at_precision(ONSET, y.slip) ** 2
         return (mode == Mode.SLIPPING) & begins(direction) & (fast | ends)
 
     def straightened(
