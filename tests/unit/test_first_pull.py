@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
+from rollkane.files.scene_files import load_scene
 from rollkane.simulation.first_pull import first_pull
 from rollkane.simulation.samples import Axis
 
@@ -34,7 +35,33 @@ def test_it_moves_with_the_force(derivative, mass, expected):
 
     m = jnp.asarray(mass)
     found = first(m)
-    # a cubic through a parabola is that: 60 halvings, roundings of the sum
+    # the run ends on the zero to roundings of its clock, of 2 s
     falls = expected > 0.0
     np.testing.assert_allclose(found, np.sqrt(mass) if falls else np.nan, rtol=1e-14)
     np.testing.assert_allclose(derivative(first)(m), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("count", [2, 3, 8, 60])
+def test_a_force_that_falls_and_rises_between_two_outputs(count):
+    """A swinging plate presses a ball by ``m (g + z'')``, whatever the outputs."""
+    size, rate, g = 0.08, 14.0, 9.81
+    lifted = lambda t: jnp.stack([0 * t, 0 * t, size * jnp.cos(rate * t)])
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)),
+        rk.Base(rk.Plane(), rk.BaseMotion(lifted)),
+    )
+    begins = np.pi / rate
+    start = rk.place(scene, LEVEL, (0.0, 5.0, 0.0), ORIGIN, time=begins)
+    times = begins + np.linspace(0.0, 2.0 * np.pi / rate, count)
+    run = rk.simulate(scene, start, times)
+    expected = (2.0 * np.pi - np.arccos(g / (size * rate**2))) / rate
+    # N falls at 170 N/s, and rounds to 1e-14 N; its zero to four numbers of the clock
+    np.testing.assert_allclose(run.first_pull, expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("count", [2, 3, 11, 51])
+def test_a_force_that_stays_positive_has_no_first_pull(count):
+    """However coarse the outputs: a rattleback rocks eight times a second."""
+    built_in = load_scene("rattleback")
+    run = rk.simulate(built_in.scene, built_in.start, np.linspace(0.0, 5.0, count))
+    assert np.isnan(run.first_pull)

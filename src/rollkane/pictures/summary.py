@@ -73,6 +73,8 @@ def summary(trajectory: Trajectory) -> list[str]:
     if trajectory.switches is not None:
         loop = "with modes"
     lines.append(line("steps", f"{steps} accepted, {rejected} rejected, {loop}"))
+    count = np.size(trajectory.time)
+    lines.append(line("outputs", f"{count}; least, most and reversals are by these"))
     if rows.size:
         lines += _force_lines(trajectory, motion)
         for k, path in enumerate(paths_of_rolling(trajectory.scene)):

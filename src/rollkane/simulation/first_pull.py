@@ -1,17 +1,23 @@
 """When a contact would first have to pull."""
 
-import functools
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.compile_effort import for_one_call
+from ..dynamics.events import Event
 from ..dynamics.rolling import rolling_derivative
+from ..dynamics.rolling_problem import corners, error_sizes
 from ..dynamics.scene import Scene
 from ..hybrid.modes import ModedState
+from ..integration.backends import run_by, without_native
+from ..integration.integrate import Outcome
+from ..integration.plans import Problem
+from ..integration.prepared import prepared
 from ..validation.checks import FieldError
 from .samples import Axis, Samples, over_axes
 from .unreached_outputs import of_reached
@@ -39,13 +45,80 @@ def first_pull_of(samples: Samples, press: _Press) -> Any:
     return samples.as_given(first_pull(press, *samples))
 
 
+class _Pulling(eqx.Module):
+    """A scene, and a normal force that is followed along its motion.
+
+    Attributes:
+        scene: What moves.
+        press: The force [N], of a scene, a time and a state.
+    """
+
+    scene: Scene
+    press: _Press = eqx.field(static=True)
+
+    def along(
+        self, t: Float[Array, ""], state: Any
+    ) -> tuple[Any, Float[Array, ""], Float[Array, ""]]:
+        """Rates of the state; the force [N] and its rate [N/s]."""
+        rates = rolling_derivative(self.scene, t, state)
+        force: Callable[[Array, Any], Array] = lambda t, s: self.press(self.scene, t, s)
+        values = jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
+        return rates, *cast(tuple[Array, Array], values)
+
+
+class _Pressed(eqx.Module):
+    """A state, and a normal force, integrated so that no step is longer than it bears.
+
+    A force that a shaken base changes need not move the body.
+    """
+
+    state: Any
+    press: Float[Array, ""]
+
+
+def _rates(pulling: _Pulling, t: Array, at: _Pressed) -> _Pressed:
+    rates, _, slope = pulling.along(t, at.state)
+    return _Pressed(rates, slope)
+
+
+def _sizes(at: _Pressed) -> _Pressed:
+    size = jnp.abs(at.press)
+    return _Pressed(error_sizes(at.state), jnp.where(size > 0.0, size, 1.0))
+
+
+def _corners(pulling: _Pulling) -> tuple[Any, int]:
+    return corners(pulling.scene)
+
+
+_FOLLOWED = Problem(_rates, lambda at: at.state.angular_velocity, _sizes, _corners)
+_FREELY = Problem(
+    lambda pulling, t, state: rolling_derivative(pulling.scene, t, state),
+    lambda state: state.angular_velocity,
+    error_sizes,
+    _corners,
+)
+
+
+def _force(pulling: _Pulling, t: Array, at: _Pressed) -> Array:
+    return pulling.press(pulling.scene, t, at.state)
+
+
+def _slope(pulling: _Pulling, t: Array, at: _Pressed) -> Array:
+    return pulling.along(t, at.state)[2]
+
+
+# Where it falls through zero; and where it is least, which is where steps end, so that
+# it cannot fall and rise again within one.
+_EVENTS = Event(_force, -1, True), Event(_slope, 1, most=1)
+
+
 @for_one_call
 def first_pull(
     press: _Press, scene: Scene, time: Array, state: Any, axes: tuple[Axis, ...]
 ) -> Array:
     """When a normal force is first not positive [s]; NaN where it never is.
 
-    Found between outputs on the cubic through values and slopes of the force.
+    Found by runs from each output to the next, along which the force is followed.
 
     Args:
         press: The force [N], of a scene, a time and a state.
@@ -56,56 +129,102 @@ def first_pull(
     """
 
     def of_one(scene: Scene, time: Array, state: Any) -> Array:
-        def one(x: tuple[Array, Any]) -> tuple[Array, Array]:
-            """The force [N], and its rate along the motion [N/s]."""
-            t, state = x
-            rates = rolling_derivative(scene, t, state)
-            force: Callable[[Array, Any], Array] = lambda t, s: press(scene, t, s)
-            return jax.jvp(force, (t, state), (jnp.ones_like(t), rates))
-
-        # one state after the other: mapped over all, it compiles four times as long
-        known = of_reached(lambda state: jax.lax.map(one, (time, state)), state)
-        return _first_fall(time, *cast(tuple[Array, Array], known))
+        return _of_motion(_Pulling(scene, press), time, state)
 
     axes, count = axes[:-1], state.angular_velocity.ndim - 2
     return over_axes(of_one, scene, axes, count)(scene, jnp.asarray(time), state)
 
 
-def _first_fall(time: Array, values: Array, slopes: Array) -> Array:
-    """First time at which a sampled function with slopes is not positive; else NaN."""
-    grid = jnp.linspace(0.0, 1.0, 17, dtype=time.dtype)
+@eqx.filter_custom_jvp
+def _of_motion(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> Array:
+    return _searched(pulling, time, state).time
 
-    def cubic(i: Array, x: Array) -> Array:
-        span = time[i + 1] - time[i]
-        v0, v1 = values[i], values[i + 1]
-        d0, d1 = slopes[i] * span, slopes[i + 1] * span
-        bend = (3.0 * (v1 - v0) - 2.0 * d0 - d1) + (d0 + d1 - 2.0 * (v1 - v0)) * x
-        return v0 + x * (d0 + x * bend)
 
-    intervals = jnp.arange(time.shape[0] - 1)
+@_of_motion.def_jvp
+def _moved(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, Array]:
+    """By a run from the output before it, and one step of Newton's at its end.
 
-    def looked_at(i: Array) -> Array:
-        at: Callable[[Array], Array] = lambda x: cubic(i, x)
-        return jax.vmap(at)(grid)
+    That run needs no derivative of the force's rate, which has second ones of surfaces
+    and loads.
+    """
+    found = _searched(*primals)
 
-    inside = jax.vmap(looked_at)(intervals)
-    fallen = (inside <= 0).reshape(-1)
-    first = jnp.argmax(fallen)
-    i, k = first // 17, first % 17
-    low, high = grid[jnp.maximum(k - 1, 0)], grid[k]
+    def moved(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> Array:
+        start = jax.tree.map(lambda x: x[found.after], state)
+        begins, never = time[found.after], jnp.isnan(found.time)
+        when = jax.lax.stop_gradient(jnp.where(never, time[1], found.time))
+        ends = jnp.stack([begins, when])
+        end = _run(_FREELY, pulling, ends, start, ()).state
+        at_end = jax.tree.map(lambda x: x[-1], end)
+        force = pulling.press(pulling.scene, when, at_end)
+        slope = jax.lax.stop_gradient(pulling.along(when, at_end)[2])
+        by_force = -force / jnp.where(never, 1.0, slope)
+        return jnp.where(found.at_once, begins, jnp.where(never, 0.0, by_force))
 
-    def halve(_: Array, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = bounds
-        mid = 0.5 * (low + high)
-        below = cubic(i, mid) <= 0
-        return jnp.where(below, low, mid), jnp.where(below, mid, high)
+    return found.time, eqx.filter_jvp(moved, primals, tangents)[1]
 
-    _, x = cast(tuple[Array, Array], jax.lax.fori_loop(0, 60, halve, (low, high)))
-    # it moves as one step of Newton's says, which is of value zero; where it never was
-    # positive, not at all
-    value, slope = jax.jvp(functools.partial(cubic, i), (x,), (jnp.ones_like(x),))
-    falls = (first > 0) & (slope != 0.0)
-    slope = jax.lax.stop_gradient(jnp.where(falls, slope, 1.0))
-    x = x - jnp.where(falls, value - jax.lax.stop_gradient(value), 0.0) / slope
-    found = time[i] + x * (time[i + 1] - time[i])
-    return jnp.where(jnp.any(fallen), found, jnp.nan)
+
+class _Found(NamedTuple):
+    """When a force falls through zero [s] (NaN: never), behind which output, or on it."""
+
+    time: Float[Array, ""]
+    after: Int[Array, ""]
+    at_once: Bool[Array, ""]
+
+
+def _searched(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> _Found:
+    scene, press = pulling.scene, pulling.press
+    one: Callable[[tuple[Array, Any]], Array] = lambda x: press(scene, *x)
+    # one state after the other: mapped over all, it compiles four times as long
+    force: Callable[[Any], Array] = lambda state: jax.lax.map(one, (time, state))
+    values = of_reached(force, state)
+    pulls = values <= 0.0
+
+    def between(start: Any, value: Array, ends: Array) -> Array:
+        found = _run(_FOLLOWED, pulling, ends, _Pressed(start, value), _EVENTS)
+        assert found.happened is not None
+        return found.happened.time[0]
+
+    first: Callable[[Array], Array] = lambda x: x[:-1]
+    ends = jnp.stack([time[:-1], time[1:]], axis=1)
+    found = jax.vmap(between)(jax.tree.map(first, state), values[:-1], ends)
+    known = jnp.isfinite(found) & jnp.isfinite(values[1:])
+    # what is behind the first is not looked at: an output at which it pulls is the end
+    # of its interval at the latest
+    times = jnp.where(known, found, jnp.where(pulls[1:], time[1:], jnp.nan))
+    falls = jnp.isfinite(times)
+    after = jnp.argmax(falls)
+    never = ~pulls[0] & ~jnp.any(falls)
+    when = jnp.where(pulls[0], time[0], times[after])
+    return _Found(jnp.where(never, jnp.nan, when), after, pulls[0])
+
+
+def _run(
+    problem: Problem,
+    pulling: _Pulling,
+    times: Float[Array, "2"],
+    start: Any,
+    events: tuple[Event, ...],
+) -> Outcome:
+    """A run from one time to another."""
+    ready = prepared(
+        problem,
+        pulling,
+        times,
+        rtol=None,
+        atol=None,
+        solver=None,
+        stepsize_controller=None,
+        adjoint=None,
+        saveat=None,
+        dt0=None,
+        max_steps=None,
+        progress_meter=None,
+        events=events,
+    )
+    run: Callable[..., Outcome] = lambda native: ready(start, native=native)
+    kind = "first pull", bool(events)
+    model = pulling, start, events
+    return cast(
+        Outcome, run_by("auto", without_native(None, {}), kind, model, run).outcome
+    )

@@ -76,9 +76,10 @@ class AbstractMotion(abc.ABC):
     def first_pull(self) -> Float[Array, ""]:
         """When the contact would first have to pull [s]; NaN where it never does.
 
-        The contact is bilateral and the motion runs on. The time is found between
-        outputs on the cubic through values and slopes of the normal force, so its
-        error falls with the fourth power of the distance of the outputs. It is
+        The contact is bilateral and the motion runs on. The time is found by runs from
+        each output to the next, at the default tolerance, whose steps end where the
+        normal force is zero or least: it does not depend on which outputs were asked
+        for. What is behind the last that was reached is not looked at. It is
         differentiable.
 
         Raises:
