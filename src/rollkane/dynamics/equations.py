@@ -11,7 +11,7 @@ from ..validation.checks import FieldError
 from .abstract_supported import rolling_parts
 from .mass_matrix import assemble
 from .rolling import contact_of
-from .scene import Rolling, Scene
+from .scene import Rolling, Scene, require_scene
 
 
 class Equations(NamedTuple):
@@ -53,6 +53,7 @@ def equations_of_motion(scene: Scene, t: Any, state: Any) -> Equations:
 
     Source: docs/theory.md, (4.3), (4.9).
     """
+    require_scene("equations_of_motion.scene", scene)
     dry = any(load.needs_normal_force for load in scene.loads)
     if type(scene.contact) is not Rolling or dry:
         raise FieldError(

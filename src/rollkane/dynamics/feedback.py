@@ -9,14 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import components, dot
-from ..validation.checks import FieldError
 from ..validation.user_functions import GivenFunction, as_floats
 from .abstract_supported import rolling_parts
 from .loads import AbstractLoad
 from .nearest_points import at_nearest
 from .rolling import contact_of
 from .rolling_bodies import example_state
-from .scene import Scene
+from .scene import Scene, require_scene
 
 
 class Feedback(AbstractLoad):
@@ -91,9 +90,7 @@ def with_feedback(
 
     Source: docs/theory.md, (4.9).
     """
-    if not isinstance(scene, Scene):  # pyright: ignore[reportUnnecessaryIsInstance]
-        remedy = "give a Scene, then the function"
-        raise FieldError("with_feedback.scene", scene, "must be a Scene", remedy)
+    require_scene("with_feedback.scene", scene, "give a Scene, then the function")
     parameters = as_floats(parameters)
     example = jnp.zeros(()), example_state(scene)
     field, meaning = "with_feedback.force", "(t, state)"

@@ -278,6 +278,22 @@ def under(
     return eqx.tree_at(lambda s: (s.contact, s.loads), scene, parts, is_leaf=alone)
 
 
+def require_scene(field: str, scene: object, remedy: str = "give a Scene") -> None:
+    """Refuse what is no scene.
+
+    Args:
+        field: Of the error.
+        scene: What was given.
+        remedy: What to do about it.
+
+    Raises:
+        FieldError: it is none.
+    """
+    if not isinstance(scene, Scene):
+        kind = type(scene).__name__
+        raise FieldError(field, f"a {kind}", f"must be a Scene, not a {kind}", remedy)
+
+
 def _require(
     field: str, value: object, kind: type | tuple[type, ...], remedy: str
 ) -> None:

@@ -5,7 +5,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
 from ..simulation.run_checks import check_span
@@ -121,8 +121,7 @@ def problem_of(
         FieldError: something that does not fit.
     """
     starts, records, chosen = _listed(start), _listed(record), tuple(_listed(free))
-    if not isinstance(scene, Scene):
-        raise FieldError("fit.scene", scene, "must be a Scene", "give a Scene")
+    require_scene("fit.scene", scene)
     for one in records:
         if not isinstance(one, Record):
             remedy = "make it with rollkane.Record or rollkane.read_record"

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..dynamics.consistency import with_contact_found
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
 from ..simulation.run_options import RunOptions
@@ -47,8 +47,10 @@ def negative_log_likelihood(
         The negative logarithm of the likelihood, without its constant [1].
 
     Raises:
-        FieldError: a channel without sigma, a start that does not belong to the scene.
+        FieldError: no scene, a channel without sigma, a start that does not belong to
+            the scene.
     """
+    require_scene("negative_log_likelihood.scene", scene)
     for name, channel in record.channels.items():
         if channel.sigma is None:
             field = f"Record.channels[{name!r}].sigma"

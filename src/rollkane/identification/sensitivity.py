@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..codegen.compile_effort import for_many_numbers, for_one_call
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..hybrid.modes import Modes
 from ..integration.backends import may_go_natively
 from ..integration.integrate import checked_times
@@ -102,7 +102,9 @@ def sensitivity(
     """
     chosen = [free] if isinstance(free, (str, Free)) else list(free)
     wanted = [Free(one) if isinstance(one, str) else one for one in chosen]
-    if not observe or not all(callable(f) for f in observe.values()):
+    require_scene("sensitivity.scene", scene)
+    named = isinstance(observe, Mapping) and len(observe) > 0
+    if not named or not all(callable(f) for f in observe.values()):
         remedy = 'give {"energy": function(scene, t, state)}'
         raise FieldError("sensitivity.observe", observe, "names no functions", remedy)
     known = checked_times(times, start.angular_velocity.dtype)

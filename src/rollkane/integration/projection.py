@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.observables import energy, kinetic_energy
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..kinematics.coordinates import State, pack, unpack
 from ..validation.checks import FieldError
 from .controller_interface import Number
@@ -238,6 +238,7 @@ def check_keeps_energy(field: str, scene: Scene) -> None:
     Raises:
         FieldError: it does.
     """
+    require_scene(field, scene)
     refuse_rolling_parts(field, scene.supported)
     if scene.does_work or scene.base.motion is not None or scene.coordinate_count:
         raise FieldError(

@@ -169,6 +169,7 @@ def simulate(
         adjoint=adjoint,
         progress_meter=progress_meter,
     )
+    _check_system(system)
     check_kinks(system.kinks, stepsize_controller)
     given = {
         "stepsize_controller": stepsize_controller is not None,
@@ -294,6 +295,16 @@ def _corners(system: KaneSystem) -> tuple[Array | None, int]:
 
 
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
+
+
+def _check_system(system: object) -> None:
+    if isinstance(system, KaneSystem):
+        return
+    kind = type(system).__name__
+    scene = kind == "Scene"
+    remedy = "integrate it by rollkane.simulate" if scene else "give a KaneSystem"
+    problem = f"must be a KaneSystem, not a {kind}"
+    raise FieldError("simulate.system", f"a {kind}", problem, remedy)
 
 
 def _checked_start(system: KaneSystem, start: object) -> KaneState:

@@ -165,7 +165,7 @@ def _moved(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, 
 
 
 class _Found(NamedTuple):
-    """When a force falls through zero [s] (NaN: never), behind which output, or on it."""
+    """When a force falls to zero [s], NaN: never; behind which output, or on it."""
 
     time: Float[Array, ""]
     after: Int[Array, ""]

@@ -18,7 +18,7 @@ from ..codegen.compile_effort import for_one_call
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.consistency import consistent
 from ..dynamics.rolling import contact_of
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..geometry.rotations import multiply, tangent_pair
 from ..geometry.small_linear import dot, inverse_sqrt
 from ..geometry.surfaces import AbstractSurface
@@ -249,6 +249,8 @@ def refuse_kind(scene: Scene, state: Any) -> None:
     And a scene in which bodies roll on the rolling body: their coordinates are not
     here.
     """
+    remedy = "give a Scene: only steady_motion and linearize take Kane systems"
+    require_scene("scene", scene, remedy)
     refuse_rolling_parts("scene", scene.supported)
     wanted = SlidingState if scene.contact.slips else State
     if type(state) is not wanted:

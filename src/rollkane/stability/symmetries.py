@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.rolling_problem import corners
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced
 from .equivariance import brackets_of, carried_rates, equivariant, random_draws
@@ -155,6 +155,7 @@ def symmetries(scene: Scene) -> Symmetries:
 
     Source: docs/theory.md, (10.1).
     """
+    require_scene("symmetries.scene", scene)
     leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
     if is_traced(leaves):
         problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
