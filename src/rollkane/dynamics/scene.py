@@ -278,8 +278,8 @@ def under(
     return eqx.tree_at(lambda s: (s.contact, s.loads), scene, parts, is_leaf=alone)
 
 
-def require_scene(field: str, scene: object, remedy: str = "give a Scene") -> None:
-    """Refuse what is no scene.
+def require_scene(field: str, scene: object, remedy: str = "give a Scene") -> Scene:
+    """The scene; what is none is refused.
 
     Args:
         field: Of the error.
@@ -292,6 +292,7 @@ def require_scene(field: str, scene: object, remedy: str = "give a Scene") -> No
     if not isinstance(scene, Scene):
         kind = type(scene).__name__
         raise FieldError(field, f"a {kind}", f"must be a Scene, not a {kind}", remedy)
+    return scene
 
 
 def _require(

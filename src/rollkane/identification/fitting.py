@@ -121,7 +121,7 @@ def problem_of(
         FieldError: something that does not fit.
     """
     starts, records, chosen = _listed(start), _listed(record), tuple(_listed(free))
-    require_scene("fit.scene", scene)
+    scene = require_scene("fit.scene", scene)
     for one in records:
         if not isinstance(one, Record):
             remedy = "make it with rollkane.Record or rollkane.read_record"

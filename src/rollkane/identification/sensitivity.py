@@ -103,8 +103,8 @@ def sensitivity(
     chosen = [free] if isinstance(free, (str, Free)) else list(free)
     wanted = [Free(one) if isinstance(one, str) else one for one in chosen]
     require_scene("sensitivity.scene", scene)
-    named = isinstance(observe, Mapping) and len(observe) > 0
-    if not named or not all(callable(f) for f in observe.values()):
+    named: list[Any] = list(getattr(observe, "values", list)())
+    if not named or not all(map(callable, named)):
         remedy = 'give {"energy": function(scene, t, state)}'
         raise FieldError("sensitivity.observe", observe, "names no functions", remedy)
     known = checked_times(times, start.angular_velocity.dtype)

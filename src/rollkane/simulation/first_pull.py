@@ -90,13 +90,20 @@ def _corners(pulling: _Pulling) -> tuple[Any, int]:
     return corners(pulling.scene)
 
 
-_FOLLOWED = Problem(_rates, lambda at: at.state.angular_velocity, _sizes, _corners)
-_FREELY = Problem(
-    lambda pulling, t, state: rolling_derivative(pulling.scene, t, state),
-    lambda state: state.angular_velocity,
-    error_sizes,
-    _corners,
-)
+def _spin_of_state(at: _Pressed) -> Array:
+    return cast(Array, at.state.angular_velocity)
+
+
+def _spin(state: Any) -> Array:
+    return cast(Array, state.angular_velocity)
+
+
+def _freely(pulling: _Pulling, t: Array, state: Any) -> Any:
+    return rolling_derivative(pulling.scene, t, state)
+
+
+_FOLLOWED = Problem(_rates, _spin_of_state, _sizes, _corners)
+_FREELY = Problem(_freely, _spin, error_sizes, _corners)
 
 
 def _force(pulling: _Pulling, t: Array, at: _Pressed) -> Array:
@@ -129,7 +136,7 @@ def first_pull(
     """
 
     def of_one(scene: Scene, time: Array, state: Any) -> Array:
-        return _of_motion(_Pulling(scene, press), time, state)
+        return cast(Any, _of_motion)(_Pulling(scene, press), time, state)
 
     axes, count = axes[:-1], state.angular_velocity.ndim - 2
     return over_axes(of_one, scene, axes, count)(scene, jnp.asarray(time), state)
@@ -148,20 +155,23 @@ def _moved(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, 
     and loads.
     """
     found = _searched(*primals)
+    take: Callable[[Array], Array] = lambda x: x[found.after]
+    last: Callable[[Array], Array] = lambda x: x[-1]
 
     def moved(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> Array:
-        start = jax.tree.map(lambda x: x[found.after], state)
+        start = jax.tree.map(take, state)
         begins, never = time[found.after], jnp.isnan(found.time)
         when = jax.lax.stop_gradient(jnp.where(never, time[1], found.time))
         ends = jnp.stack([begins, when])
         end = _run(_FREELY, pulling, ends, start, ()).state
-        at_end = jax.tree.map(lambda x: x[-1], end)
+        at_end = jax.tree.map(last, end)
         force = pulling.press(pulling.scene, when, at_end)
         slope = jax.lax.stop_gradient(pulling.along(when, at_end)[2])
         by_force = -force / jnp.where(never, 1.0, slope)
         return jnp.where(found.at_once, begins, jnp.where(never, 0.0, by_force))
 
-    return found.time, eqx.filter_jvp(moved, primals, tangents)[1]
+    along = cast(Any, eqx.filter_jvp)(moved, primals, tangents)
+    return found.time, along[1]
 
 
 class _Found(NamedTuple):
@@ -222,7 +232,7 @@ def _run(
         progress_meter=None,
         events=events,
     )
-    run: Callable[..., Outcome] = lambda native: ready(start, native=native)
+    run: Callable[[bool], Outcome] = lambda native: ready(start, native=native)
     kind = "first pull", bool(events)
     model = pulling, start, events
     return cast(
