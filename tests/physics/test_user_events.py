@@ -590,3 +590,22 @@ def test_an_event_at_a_lift_off_leaves_the_run_as_it_is():
     # once: in flight the force stays zero
     np.testing.assert_array_equal(count, 1)
     np.testing.assert_allclose(time, plain[2], rtol=0, atol=1e-11)
+
+
+def test_a_tangent_may_be_a_float_of_python():
+    """Of a number that a base moves by, in a run with an event."""
+
+    def falls_at(size):
+        moves = lambda t, a: jnp.stack([0 * t, 0 * t, a * jnp.sin(14.0 * t)])
+        plate = rk.Base(rk.Plane(), rk.BaseMotion(moves, parameters=size))
+        scene = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)), plate)
+        still = (0.0, 0.0, 0.0)
+        start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), still, still)
+        return rk.simulate(scene, start, (0.0, 0.1), stop="lift-off").final_time
+
+    found, moved = jax.jvp(falls_at, (0.08,), (1.0,))
+    # N = g - a w^2 sin(w t) is zero at sin(w t) = g / (a w^2)
+    share = 9.81 / (0.08 * 14.0**2)
+    np.testing.assert_allclose(found, np.arcsin(share) / 14.0, rtol=1e-12)
+    slope = -share / 0.08 / np.sqrt(1.0 - share**2) / 14.0
+    np.testing.assert_allclose(moved, slope, rtol=1e-9)

@@ -79,7 +79,9 @@ class Modes(eqx.Module):
                 body never slips. A run ends with ``Code.PAINLEVE`` where it can then
                 neither roll on nor leave.
             static_friction: That of sticking [1], friction or more; left out, the same.
-            lifts: Whether the contact ends where it would have to pull.
+            lifts: Whether the contact ends where it would have to pull. Where it does
+                not, friction goes with the size of the normal force: derivatives behind
+                such a place are known to the root of the tolerance.
             restitution: That of a landing [1], from 0 to 1; left out, nothing lands.
                 None can give energy.
             rest_speed: The speed below which a rebound stays in contact [m/s],

@@ -179,7 +179,8 @@ def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     inverse = known(jnp.where(jnp.abs(found) <= loose, -1.0, jnp.nan) / slope)
     shift = jnp.zeros_like(t)
     for i, coefficients in zip(moves, by, strict=True):
-        shift = shift + jnp.sum(_times(known(coefficients), changes[i]))
+        dot = jnp.asarray(changes[i], coefficients.dtype)  # of jax.jvp it may be a float
+        shift = shift + jnp.sum(_times(known(coefficients), dot))
     shift = _times(inverse, shift)
     given_dots = zip((t, y), dots[:2], strict=True)
     filled = [jnp.zeros_like(x) if dot is None else dot for x, dot in given_dots]
