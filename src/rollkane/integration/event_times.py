@@ -179,7 +179,7 @@ def _followed_jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> Any:
     inverse = known(jnp.where(jnp.abs(found) <= loose, -1.0, jnp.nan) / slope)
     shift = jnp.zeros_like(t)
     for i, coefficients in zip(moves, by, strict=True):
-        dot = jnp.asarray(changes[i], coefficients.dtype)  # of jax.jvp it may be a float
+        dot = jnp.asarray(changes[i], coefficients.dtype)  # it may be a Python float
         shift = shift + jnp.sum(_times(known(coefficients), dot))
     shift = _times(inverse, shift)
     given_dots = zip((t, y), dots[:2], strict=True)
