@@ -15,6 +15,9 @@ from .data_movement import NotElementwiseError, Numbers, numbers_of
 from .jaxpr_types import Params
 from .known_numbers import KNOWN
 
+# of so many one is chosen, where they do not lie in memory to be looked up: as many
+# lines for every lookup
+FEW = 32
 # what becomes of the number that was there; None: it is written over
 _WRITES = {
     "scatter": None,
@@ -54,6 +57,8 @@ def by_known_index(
     """
     x, indices = inputs[:2]
     if not all(isinstance(i, KNOWN) for i in indices.reshape(-1)):
+        if name == "gather" and x.size <= FEW:
+            return _chosen(operation, (x, indices), params, dtype)
         raise NotElementwiseError(f"{name} by an index that is computed")
     at = np.array(indices.reshape(-1).tolist(), np.int64).reshape(indices.shape)
     with jax.ensure_compile_time_eval():
@@ -81,6 +86,40 @@ def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> N
     )
     outside = numbers_of(np.asarray(filled(dtype, params["fill_value"]), dtype))
     return _of(x, outside, found)
+
+
+def _chosen(
+    operation: Operation, inputs: tuple[Numbers, Numbers], params: Params, dtype: Any
+) -> Numbers:
+    """A lookup by indices that are computed: each chooses among all that it may be."""
+    x, indices = inputs
+    numbers = params["dimension_numbers"]
+    if len(numbers.start_index_map) != 1 or numbers.operand_batching_dims:
+        raise NotElementwiseError("a lookup by two indices")
+    (axis,) = numbers.start_index_map
+    last = x.shape[axis] - params["slice_sizes"][axis]
+    options: list[Numbers] = []
+    with jax.ensure_compile_time_eval():
+        for place in range(last + 1):
+            at = np.full(indices.shape, place)
+            options.append(_looked_up(x, at, params, dtype))
+    found = options[0].copy()
+    outside = filled(dtype, params["fill_value"])
+    fills = "FILL" in str(params["mode"])
+    truth = np.dtype(bool)
+    many = [k for k in range(found.ndim) if k not in numbers.offset_dims]
+    for index in np.ndindex(found.shape):
+        place = indices[(*(index[k] for k in many), 0)]
+        chosen = options[-1][index]
+        for i in reversed(range(last)):
+            here = operation("le", {}, [place, np.int64(i)], truth)
+            chosen = operation("select_n", {}, [here, chosen, options[i][index]], dtype)
+        if fills:
+            for name, end in (("ge", 0), ("le", last)):
+                inside = operation(name, {}, [place, np.int64(end)], truth)
+                chosen = operation("select_n", {}, [inside, outside, chosen], dtype)
+        found[index] = chosen
+    return found
 
 
 def _of(x: Numbers, others: Numbers, places: Any) -> Numbers:

@@ -9,6 +9,7 @@ import jax
 
 from .jaxpr_types import Aval, ClosedJaxpr, Equation
 from .linear_call import LINEAR, run_linear
+from .small_matrices import arithmetic_of
 
 _T = TypeVar("_T")
 
@@ -37,7 +38,7 @@ def _written_by(equation: Equation) -> Callable[..., Any] | None:
     if equation.primitive.name == "call_hi_primitive":
         # from jax 0.11 on, of searchsorted and others
         return cast(Any, equation.primitive).to_lojax
-    return None
+    return arithmetic_of(equation)
 
 
 class Rows(NamedTuple):

@@ -17,7 +17,7 @@ import numpy as np
 from jax.extend import core
 
 from .along_an_axis import ALONG, along
-from .at_known_places import BY_INDEX, by_known_index
+from .at_known_places import BY_INDEX, FEW, by_known_index
 from .called_programs import CalledPrograms, rows_of
 from .data_movement import (
     MOVES,
@@ -53,9 +53,6 @@ REDUCTIONS = {
     "reduce_or": "or",
 }
 
-# of so many one is chosen, where they do not lie in memory to be looked up: as many
-# lines for every lookup
-FEW = 32
 # numbers of a loop that is written out: beyond, compilers take too long
 _MOST_NUMBERS = 50_000
 

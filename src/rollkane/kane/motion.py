@@ -169,8 +169,7 @@ def simulate(
         adjoint=adjoint,
         progress_meter=progress_meter,
     )
-    _check_system(system)
-    check_kinks(system.kinks, stepsize_controller)
+    check_kinks(_known_system(system).kinks, stepsize_controller)
     given = {
         "stepsize_controller": stepsize_controller is not None,
         "adjoint": adjoint is not None,
@@ -297,9 +296,9 @@ def _corners(system: KaneSystem) -> tuple[Array | None, int]:
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
 
 
-def _check_system(system: object) -> None:
+def _known_system(system: object) -> KaneSystem:
     if isinstance(system, KaneSystem):
-        return
+        return system
     kind = type(system).__name__
     scene = kind == "Scene"
     remedy = "integrate it by rollkane.simulate" if scene else "give a KaneSystem"
