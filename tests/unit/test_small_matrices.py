@@ -69,6 +69,25 @@ ORDERS = {
     "a computed row": (lambda x: x[jnp.argmax(x[:, 0])], MIXED),
     "a computed column": (lambda x: x[:, jnp.argmax(x[0])], MIXED),
     "two computed rows": (lambda x: x[jnp.argsort(x[:, 0])[:2]], MIXED),
+    "a computed row that is written": (
+        lambda x: x.at[jnp.argmax(x[:, 0])].set(x[0] + 1.0), MIXED,
+    ),
+    "a computed place that is added to": (
+        lambda x: x.at[jnp.argmin(x)].add(x[0]), HALF,
+    ),
+    "a computed place, written outside": (
+        lambda x: x.at[jnp.int32(30.0 * x[0])].set(9.0), HALF,
+    ),
+    "a computed place, written clipped": (
+        lambda x: x.at[jnp.int32(30.0 * x[0])].set(9.0, mode="clip"), HALF,
+    ),
+    "a place of many, written clipped": (
+        lambda x: jnp.resize(x, 50).at[jnp.int32(300.0 * x[0])].set(9.0, mode="clip"),
+        HALF,
+    ),
+    "a place of many, added outside": (
+        lambda x: jnp.resize(x, 50).at[jnp.int32(300.0 * x[0])].add(9.0), HALF,
+    ),
     "a computed place outside": (
         lambda x: x.at[jnp.int32(10.0 * x[0])].get(mode="fill", fill_value=7.0), HALF,
     ),

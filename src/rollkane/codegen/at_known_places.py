@@ -1,8 +1,9 @@
-"""Lookups and writes by indices that are known: numbers change places.
+"""Lookups and writes by indices: where these are known, numbers change places.
 
 Which go where is found by JAX itself, which does the same to the places' numbers.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -59,6 +60,9 @@ def by_known_index(
     if not all(isinstance(i, KNOWN) for i in indices.reshape(-1)):
         if name == "gather" and x.size <= FEW:
             return _chosen(operation, (x, indices), params, dtype)
+        if name != "gather" and x.size <= FEW and indices.size == 1:
+            known = functools.partial(by_known_index, operation, name)
+            return _put(operation, known, inputs, params, dtype)
         raise NotElementwiseError(f"{name} by an index that is computed")
     at = np.array(indices.reshape(-1).tolist(), np.int64).reshape(indices.shape)
     with jax.ensure_compile_time_eval():
@@ -119,6 +123,33 @@ def _chosen(
                 inside = operation(name, {}, [place, np.int64(end)], truth)
                 chosen = operation("select_n", {}, [inside, outside, chosen], dtype)
         found[index] = chosen
+    return found
+
+
+def _put(
+    operation: Operation,
+    written: Callable[..., Numbers],
+    inputs: list[Numbers],
+    params: Params,
+    dtype: Any,
+) -> Numbers:
+    """A write by one index that is computed: each number is chosen."""
+    x, indices, update = inputs
+    numbers = params["dimension_numbers"]
+    axes = numbers.scatter_dims_to_operand_dims
+    if len(axes) != 1 or axes != numbers.inserted_window_dims:
+        raise NotElementwiseError("a write of several rows by an index")
+    found, place, last = x.copy(), indices.reshape(-1)[0], x.shape[axes[0]] - 1
+    drops = "FILL" in str(params["mode"])
+    for i in range(last + 1):
+        at = numbers_of(np.full(indices.shape, i))
+        option = written([x, at, update], params, dtype)
+        ends = "eq" if drops or 0 < i < last else ("le" if i == 0 else "ge")
+        here = operation(ends, {}, [place, np.int64(i)], np.dtype(bool))
+        for index in np.ndindex(x.shape):
+            if option[index] is not x[index]:
+                both = [here, found[index], option[index]]
+                found[index] = operation("select_n", {}, both, dtype)
     return found
 
 

@@ -244,10 +244,13 @@ def _scattered(
     plain &= numbers.scatter_dims_to_operand_dims == (0,)
     if not plain or update.shape != x.shape[1:]:
         raise NotElementwiseError("writing to parts of rows")
-    row, truth = walk.numbers(index)[0], np.dtype(bool)
-    least = walk.operation("ge", {}, [row, np.int64(0)], truth)
-    most = walk.operation("lt", {}, [row, np.int64(x.shape[0])], truth)
-    inside = walk.operation("and", {}, [least, most], truth)
+    row, truth, inside = walk.numbers(index)[0], np.dtype(bool), None
+    if "CLIP" in str(equation.params["mode"]):
+        row = _clipped(walk, row, x.shape[0] - 1)
+    else:
+        least = walk.operation("ge", {}, [row, np.int64(0)], truth)
+        most = walk.operation("lt", {}, [row, np.int64(x.shape[0])], truth)
+        inside = walk.operation("and", {}, [least, most], truth)
     adds = equation.primitive.name in ("scatter-add", "scatter_add")
     if isinstance(update, Memory):
         update = update.looked_at(lambda a: np.expand_dims(a, 0))
