@@ -17,6 +17,10 @@ if TYPE_CHECKING:
 _Axes3D = Any  # mpl_toolkits has no types
 
 
+# Of a panel: what a legend takes of its width and its height.
+_LEGEND = 0.45, 0.25
+
+
 def draw_path(
     panel: "Axes",
     motion: MotionSamples,
@@ -181,7 +185,22 @@ def _mark_ends(panel: "Axes | _Axes3D", *columns: np.ndarray) -> None:
     start, end = [c[:1] for c in columns], [c[-1:] for c in columns]
     panel.plot(*start, "o", mfc="white", mec=INK, mew=1.5, label="start", **style)
     panel.plot(*end, "s", mfc=RED, mec="white", mew=1.0, label="end", **style)
-    panel.legend(loc="upper right", fontsize=9, framealpha=0.9, edgecolor=FAINT)
+    corner = _emptiest_corner(panel, *columns) if len(columns) == 2 else "upper right"
+    panel.legend(loc=corner, fontsize=9, framealpha=0.9, edgecolor=FAINT)
+
+
+def _emptiest_corner(panel: "Axes | _Axes3D", x: np.ndarray, y: np.ndarray) -> Any:
+    """That in which the fewest points of a path and of lines lie."""
+    drawn = [(line.get_xdata(), line.get_ydata()) for line in panel.get_lines()]
+    every = [np.column_stack([x, y]), *(np.column_stack(xy) for xy in drawn)]
+    low, high = np.transpose([panel.get_xlim(), panel.get_ylim()])
+    right, up = ((np.concatenate(every) - low) / (high - low)).T
+    taken = {
+        f"{row} {side}": np.sum((beside < _LEGEND[0]) & (below < _LEGEND[1]))
+        for row, below in (("upper", 1.0 - up), ("lower", up))
+        for side, beside in (("right", 1.0 - right), ("left", right))
+    }
+    return min(taken, key=lambda corner: taken[corner])
 
 
 def _time_scale(panel: "Axes | _Axes3D", lines: "Collection", time: np.ndarray) -> None:
