@@ -59,7 +59,7 @@ class Loop(Trials):
         tried = self.tried(c)
         verdict = self.judged(c, tried)
         kind, at, end = verdict.kind, c.place, tried.end
-        slid, after, rests = self._behind(c, tried, verdict)
+        slid, after = self._behind(at, tried, verdict)
         falls_flat = verdict.event & self.lies_on_face(at, tried)
         lost = verdict.event & ~falls_flat & ~jnp.all(jnp.isfinite(pack(after.y)))
         jammed = lost & self.motion.jams(after.y)
@@ -88,7 +88,7 @@ class Loop(Trials):
             watched, shown = watched.kept(layout, look.fires, tried.t, output, outputs)
         if record is not None:
             value = jnp.where(verdict.since, jnp.inf, end.values[kind])
-            value = jnp.where(rests, -jnp.inf, value)
+            value = jnp.where(verdict.rests, -jnp.inf, value)
             row = tried.t, following.t, jnp.where(event, kind, -1), value, shown
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
@@ -118,27 +118,21 @@ class Loop(Trials):
         return run if look is None else self.judged_again(c, tried, look, run)
 
     def _behind(
-        self, c: Run, tried: Tried, verdict: Verdict
-    ) -> tuple[HybridState, Place, Bool[Array, ""]]:
-        """The end of a step: its state before it changes anything, and what follows.
-
-        And whether that is a rest: a flight that comes back at once to the base that it
-        left has risen by a rounding. What touches at the start of a run has not risen.
-        """
-        motion, at, end = self.motion, c.place, tried.end
-        rests = verdict.since & (at.mode == Mode.FLYING)
-        rests &= c.path.switches.count > 0
+        self, at: Place, tried: Tried, verdict: Verdict
+    ) -> tuple[HybridState, Place]:
+        """The end of a step: its state before it changes anything, and what follows."""
+        motion, end = self.motion, tried.end
         event, kind = verdict.event, verdict.kind
         ends = event & motion.ends_slip(at.mode, kind)
         begun = motion.has_begun(at.mode, at.direction, end.y, ends)
         straight = lambda: motion.straightened(end.way, tried.t, end.y, begun)
         slid = cast(HybridState, jax.lax.cond(begun, straight, lambda: end.y))
         before = at.mode, kind, at.direction, tried.t, slid
-        changed = lambda: motion.changed(*before, event, rests)
+        changed = lambda: motion.changed(*before, event, verdict.rests)
         same = lambda: (at.mode, at.direction, slid)
         mode, direction, y = cast(Begun, jax.lax.cond(event, changed, same))
         way = motion.along(mode, direction, y, verdict.turned)
-        return slid, Place(tried.t, y, mode, way), rests
+        return slid, Place(tried.t, y, mode, way)
 
     def _bounded(
         self, step: Float[Array, ""], record: Record | None

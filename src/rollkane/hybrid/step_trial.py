@@ -34,6 +34,9 @@ from .user_events import Watched
 
 _ROOT = 1e-12  # of the event's value at the step's start
 _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
+# [m/s^2], of a flight that rises by a rounding: twice the acceleration, and twice the
+# height, as it is seen to have landed within two of them
+_FALLS = 4.0 * 100.0
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)
 _CUTS = 24
@@ -83,6 +86,7 @@ class Verdict(NamedTuple):
     accept: Array
     event: Array
     since: Array  # the change before it: it happened there, not by a zero of its own
+    rests: Array  # and was a landing behind a flight that was rounding
     turned: Array  # a slip, until it stands across its old direction
     kind: Array
     searching: Array
@@ -191,15 +195,20 @@ class Trials(eqx.Module):
 
     def falls_back(
         self, c: Run, tried: Tried, rate: Float[Array, ""]
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """Whether a flight ends where it begins, or has come to its landing at once.
 
         Where it begins: its body comes back, or never left. Its gap is rounding then,
         but as it would be from how fast it closes: that of a force that vanished would
         be a third power, and opens. If it closes faster it has been higher.
+
+        And whether the body stays if it does so behind a change: it has risen by a
+        rounding, as it comes no faster than by an acceleration of 100 m/s^2. What
+        touches at the start of a run, or elsewhere, has a speed of its own.
         """
         if self.reach is None:
-            return jnp.asarray(False), jnp.asarray(False)
+            never = jnp.asarray(False)
+            return never, never, never
         gap, slack = tried.end.values[0], rounding(c.place.y, self.reach)
         fresh = (c.place.mode == Mode.FLYING) & jnp.isnan(c.values[0])
         closes = rate * (tried.t - c.place.t)
@@ -207,7 +216,9 @@ class Trials(eqx.Module):
         # by one rounding of the 64 at least
         falls = (jnp.abs(gap + slack) <= slack) & ~high
         falls &= closes <= jnp.minimum(gap, -slack / 64.0)
-        return fresh & falls, fresh & high & (gap <= slack)
+        slow = jnp.abs(rate) <= jnp.sqrt(_FALLS * slack)
+        stays = fresh & slow & (c.path.switches.count > 0)
+        return fresh & falls, fresh & high & (gap <= slack), stays
 
     def rate_of(self, at: Place, tried: Tried, kind: Int[Array, ""]) -> Array:
         """About how fast an event's value changes at the end of a step."""
@@ -237,7 +248,7 @@ class Trials(eqx.Module):
         watched = c.watched
         ends = False if watched is None else watched.ends_on_change(taken, tiny)
         value, rate = tried.end.values[kind], self.rate_of(c.place, tried, kind)
-        falls, landed = self.falls_back(c, tried, rate)
+        falls, landed, stays = self.falls_back(c, tried, rate)
         # one search at a time: a try within a step that stood has no change to look for
         below = ~(least >= self.least_value(c)) & ~blinks
         negative = (below | falls | landed) & ~looks
@@ -268,19 +279,8 @@ class Trials(eqx.Module):
         stuck = ~accept & ~hides & jnp.where(c.searching, closed, ~(step > tiny))
         searching = (begins | c.searching) & ~event & ~turned & ~hides
         cuts = jnp.where(accept | ~hides, 0, c.cuts + 1)
-        return Verdict(
-            accept,
-            event,
-            since,
-            turned,
-            kind,
-            searching,
-            bracket,
-            step,
-            cuts,
-            stuck,
-            blinks,
-        )
+        ended = accept, event, since, since & stays, turned, kind
+        return Verdict(*ended, searching, bracket, step, cuts, stuck, blinks)
 
     def located(
         self,
