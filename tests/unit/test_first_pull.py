@@ -1,5 +1,6 @@
 """When a contact would first have to pull, and how that moves."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,3 +66,52 @@ def test_a_force_that_stays_positive_has_no_first_pull(count):
     built_in = load_scene("rattleback")
     run = rk.simulate(built_in.scene, built_in.start, np.linspace(0.0, 5.0, count))
     assert np.isnan(run.first_pull)
+
+
+def pushed(begins, ends, size=15.0):
+    """A ball of 9.81 N on a plane, pulled up by 15 N for some time."""
+    push = lambda t, point: (
+        jnp.array([0.0, 0.0, size]) * jnp.where((t > begins) & (t < ends), 1.0, 0.0)
+    )
+    scene = rk.Scene(
+        rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1)),
+        loads=(rk.Gravity(), rk.Force(push)),
+        kinks=np.array([begins, ends]),
+    )
+    return scene, rk.place(scene, LEVEL, (0.0, 1.0, 0.0), ORIGIN)
+
+
+@pytest.mark.parametrize(
+    "times",
+    [[0.0, 0.8], [0.0, 0.4, 0.8], [0.0, 0.43, 0.8], [0.4, 0.8], [0.0, 0.4, 0.43, 0.5]],
+)
+def test_a_force_that_jumps_on_an_output(times):
+    """It pulls behind the jump alone, and for 0.03 s."""
+    scene, start = pushed(0.4, 0.43)
+    run = rk.simulate(scene, start, times)
+    # a run ends on a kink, and begins behind it: four numbers of the clock
+    np.testing.assert_allclose(run.first_pull, 0.4, rtol=1e-14)
+
+
+def test_a_jump_on_an_output_backwards():
+    scene, start = pushed(0.4, 0.43)
+    run = rk.simulate(scene, start, [0.8, 0.43, 0.0])
+    np.testing.assert_allclose(run.first_pull, 0.43, rtol=1e-14)
+
+
+@pytest.mark.parametrize("times", [(0.0, 0.8), (0.0, 0.4, 0.8)])
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_a_jump_has_no_derivative(derivative, times):
+    """Of a body whose normal force moves with its spin."""
+    scene, _ = pushed(0.4, 0.8, 60.0)
+    egg = rk.Body(1.0, 0.004 * np.eye(3), rk.Ellipsoid((0.1, 0.12, 0.15)), (0.01, 0, 0))
+    scene = rk.Scene(egg, loads=scene.loads, kinks=scene.kinks)
+    start = rk.place(scene, LEVEL, (0.0, 1.0, 0.0), ORIGIN)
+
+    def first(spin):
+        moved = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        return rk.simulate(scene, moved, jnp.array(times)).first_pull
+
+    spin = start.angular_velocity
+    np.testing.assert_allclose(first(spin), 0.4, rtol=1e-14)
+    assert np.all(np.isnan(derivative(first)(spin)))

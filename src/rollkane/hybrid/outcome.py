@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.clearance import code_of_touch, may_touch_twice
+from ..dynamics.precision import at_precision
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
 from ..dynamics.scene import Scene
@@ -124,12 +125,12 @@ def _slips_on_and_on(switches: Switches) -> Bool[Array, ""]:
 def _last_four(switches: Switches) -> tuple[Int[Array, "4"], Bool[Array, ""]]:
     """The last four changes, and whether they were at one time.
 
-    That is within a thousand roundings: to touch at one place and be found to touch at
-    the other takes twenty (5e-15 s at 0.2 s, of a rod on two humps).
+    To touch at one place and be found to touch at the other takes twenty roundings
+    (5e-15 s at 0.2 s, of a rod on two humps), a thousand times that as it rests.
     """
     rows = jnp.maximum(switches.count - 4 + jnp.arange(4), 0)
     times = switches.time[rows]
-    least = 1e3 * float(np.finfo(times.dtype).eps) * (1.0 + jnp.abs(times[-1]))
+    least = at_precision(1e-9, times) * (1.0 + jnp.abs(times[-1]))
     return rows, times[-1] - times[0] <= least
 
 

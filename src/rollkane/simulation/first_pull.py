@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.compile_effort import for_one_call
@@ -23,6 +24,8 @@ from .samples import Axis, Samples, over_axes
 from .unreached_outputs import of_reached
 
 _Press = Callable[[Scene, Array, Any], Array]
+# Roundings of the clock from a jump to where a run begins behind it, and more.
+_BESIDE = 16.0
 
 
 def first_pull_of(samples: Samples, press: _Press) -> Any:
@@ -161,34 +164,55 @@ def _moved(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, 
     def moved(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> Array:
         start = jax.tree.map(take, state)
         begins, never = time[found.after], jnp.isnan(found.time)
-        when = jax.lax.stop_gradient(jnp.where(never, time[1], found.time))
-        ends = jnp.stack([begins, when])
-        end = _run(_FREELY, pulling, ends, start, ()).state
+        unknown = never | found.jumps | found.at_once
+        ends = time[jnp.minimum(found.after + 1, time.shape[0] - 1)]
+        when = jax.lax.stop_gradient(jnp.where(unknown, ends, found.time))
+        end = _run(_FREELY, pulling, jnp.stack([begins, when]), start, ()).state
         at_end = jax.tree.map(last, end)
         force = pulling.press(pulling.scene, when, at_end)
         slope = jax.lax.stop_gradient(pulling.along(when, at_end)[2])
-        by_force = -force / jnp.where(never, 1.0, slope)
-        return jnp.where(found.at_once, begins, jnp.where(never, 0.0, by_force))
+        # a force that jumps through zero has no derivative there
+        loose = np.sqrt(np.finfo(when.dtype).eps) * jnp.abs(slope * (when - begins))
+        moves = (jnp.abs(force) <= loose) & ~found.jumps
+        share = jnp.where(never, 0.0, jnp.where(moves, 1.0, jnp.nan))
+        by_force = -force / jnp.where(slope == 0.0, 1.0, slope) * share
+        return jnp.where(found.at_once, begins, by_force)
 
     along = cast(Any, eqx.filter_jvp)(moved, primals, tangents)
     return found.time, along[1]
 
 
 class _Found(NamedTuple):
-    """When a force falls to zero [s], NaN: never; behind which output, or on it."""
+    """When a force falls to zero [s], NaN: never; behind which output, and how.
+
+    Attributes:
+        time: [s].
+        after: Number of the output before it, or on which it is.
+        at_once: Whether it is the first of all.
+        jumps: Whether it falls by a jump on an output.
+    """
 
     time: Float[Array, ""]
     after: Int[Array, ""]
     at_once: Bool[Array, ""]
+    jumps: Bool[Array, ""]
 
 
 def _searched(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> _Found:
     scene, press = pulling.scene, pulling.press
     one: Callable[[tuple[Array, Any]], Array] = lambda x: press(scene, *x)
     # one state after the other: mapped over all, it compiles four times as long
-    force: Callable[[Any], Array] = lambda state: jax.lax.map(one, (time, state))
-    values = of_reached(force, state)
-    pulls = values <= 0.0
+    way = jnp.sign(time[-1] - time[0])
+    near = (_BESIDE * np.finfo(time.dtype).eps) * (1.0 + jnp.abs(time))
+    beside = time + way * near
+
+    def force(state: Any) -> tuple[Array, Array]:
+        """On outputs, and right behind them."""
+        on = cast(Array, jax.lax.map(one, (time, state)))
+        return on, cast(Array, jax.lax.map(one, (beside, state)))
+
+    values, behind = cast(tuple[Array, Array], of_reached(force, state))
+    pulls, jumps = values <= 0.0, (values > 0.0) & (behind <= 0.0)
 
     def between(start: Any, value: Array, ends: Array) -> Array:
         found = _run(_FOLLOWED, pulling, ends, _Pressed(start, value), _EVENTS)
@@ -196,17 +220,21 @@ def _searched(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> _Found
         return found.happened.time[0]
 
     first: Callable[[Array], Array] = lambda x: x[:-1]
-    ends = jnp.stack([time[:-1], time[1:]], axis=1)
+    # a run that ends on a jump does not see what was before it
+    far = jnp.abs(time[1:] - time[:-1]) > 4.0 * near[1:]
+    before = jnp.where(far, time[1:] - way * near[1:], time[1:])
+    ends = jnp.stack([time[:-1], before], axis=1)
     found = jax.vmap(between)(jax.tree.map(first, state), values[:-1], ends)
     known = jnp.isfinite(found) & jnp.isfinite(values[1:])
     # what is behind the first is not looked at: an output at which it pulls is the end
     # of its interval at the latest
     times = jnp.where(known, found, jnp.where(pulls[1:], time[1:], jnp.nan))
+    times = jnp.where(jumps[:-1], time[:-1], times)
     falls = jnp.isfinite(times)
     after = jnp.argmax(falls)
     never = ~pulls[0] & ~jnp.any(falls)
     when = jnp.where(pulls[0], time[0], times[after])
-    return _Found(jnp.where(never, jnp.nan, when), after, pulls[0])
+    return _Found(jnp.where(never, jnp.nan, when), after, pulls[0], jumps[after])
 
 
 def _run(

@@ -80,7 +80,7 @@ class AbstractMotion(abc.ABC):
         each output to the next, at the default tolerance, whose steps end where the
         normal force is zero or least: it does not depend on which outputs were asked
         for. What is behind the last that was reached is not looked at. It is
-        differentiable.
+        differentiable; where the force jumps through zero its derivative is NaN.
 
         Raises:
             FieldError: of ends alone, or of many runs with modes.
