@@ -115,3 +115,16 @@ def test_a_jump_has_no_derivative(derivative, times):
     spin = start.angular_velocity
     np.testing.assert_allclose(first(spin), 0.4, rtol=1e-14)
     assert np.all(np.isnan(derivative(first)(spin)))
+
+
+@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+def test_what_pulls_from_the_start_does_not_move(derivative):
+    scene, start = pushed(-1.0, 0.5)
+
+    def first(spin):
+        moved = eqx.tree_at(lambda s: s.angular_velocity, start, spin)
+        return rk.simulate(scene, moved, jnp.array([0.1, 0.8])).first_pull
+
+    spin = start.angular_velocity
+    np.testing.assert_array_equal(first(spin), 0.1)
+    np.testing.assert_array_equal(derivative(first)(spin), 0.0)

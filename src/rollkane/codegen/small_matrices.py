@@ -118,7 +118,8 @@ def _cholesky(a: Float[Array, "n n"], **_: Any) -> Float[Array, "n n"]:
         for j in range(i):
             rest = a[i, j] - sum((row[k] * rows[j][k] for k in range(j)), zero)
             row.append(rest / rows[j][j])
-        row.append(jnp.sqrt(a[i, i] - sum((x * x for x in row), zero)))
+        rest = a[i, i] - sum((x * x for x in row), zero)
+        row.append(jnp.where(rest > 0.0, jnp.sqrt(rest), jnp.nan))
         rows.append(row)
     full = [jnp.stack(row + [zero] * (count - 1 - i)) for i, row in enumerate(rows)]
     found = jnp.stack(full)

@@ -165,16 +165,17 @@ def _moved(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Array, 
         start = jax.tree.map(take, state)
         begins, never = time[found.after], jnp.isnan(found.time)
         unknown = never | found.jumps | found.at_once
-        ends = time[jnp.minimum(found.after + 1, time.shape[0] - 1)]
+        ends: Array = time[jnp.minimum(found.after + 1, time.shape[0] - 1)]
         when = jax.lax.stop_gradient(jnp.where(unknown, ends, found.time))
         end = _run(_FREELY, pulling, jnp.stack([begins, when]), start, ()).state
         at_end = jax.tree.map(last, end)
         force = pulling.press(pulling.scene, when, at_end)
         slope = jax.lax.stop_gradient(pulling.along(when, at_end)[2])
         # a force that jumps through zero has no derivative there
-        loose = np.sqrt(np.finfo(when.dtype).eps) * jnp.abs(slope * (when - begins))
+        loose = np.sqrt(np.finfo(when.dtype).eps) * jnp.abs(slope * (ends - begins))
         moves = (jnp.abs(force) <= loose) & ~found.jumps
-        share = jnp.where(never, 0.0, jnp.where(moves, 1.0, jnp.nan))
+        still = never | found.at_once
+        share = jnp.where(still, 0.0, jnp.where(moves, 1.0, jnp.nan))
         by_force = -force / jnp.where(slope == 0.0, 1.0, slope) * share
         return jnp.where(found.at_once, begins, by_force)
 
@@ -201,13 +202,13 @@ class _Found(NamedTuple):
 def _searched(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> _Found:
     scene, press = pulling.scene, pulling.press
     one: Callable[[tuple[Array, Any]], Array] = lambda x: press(scene, *x)
-    # one state after the other: mapped over all, it compiles four times as long
     way = jnp.sign(time[-1] - time[0])
     near = (_BESIDE * np.finfo(time.dtype).eps) * (1.0 + jnp.abs(time))
     beside = time + way * near
 
     def force(state: Any) -> tuple[Array, Array]:
         """On outputs, and right behind them."""
+        # one state after the other: mapped over all, it compiles four times as long
         on = cast(Array, jax.lax.map(one, (time, state)))
         return on, cast(Array, jax.lax.map(one, (beside, state)))
 
