@@ -12,7 +12,7 @@ RELEASES := tests/house tests/physics/test_native_runs.py tests/physics/test_gra
 	tests/physics/test_ensemble.py tests/unit/test_call_interface.py \
 	tests/unit/test_native.py tests/unit/test_methods.py tests/unit/test_cache.py tests/unit/test_cli.py \
 	tests/unit/test_impossible_numbers.py tests/unit/test_outer_derivatives.py \
-	tests/unit/test_sampling.py tests/unit/test_store.py tests/unit/test_known_places.py \
+	tests/unit/test_sampling.py tests/unit/test_store.py tests/unit/test_by_index.py \
 	tests/unit/test_small_matrices.py
 
 .PHONY: demo test test-all test-releases test-browser test-gpu lint format bench bench-engine bench-peers bench-fit bench-rolling bench-sensitivity bench-monte-carlo bench-live bench-gpu accuracy growth compiling stability docs clean

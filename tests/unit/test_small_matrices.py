@@ -6,9 +6,7 @@ import jax.scipy.linalg as jsl
 import numpy as np
 import pytest
 
-from rollkane import kane
-from rollkane.codegen import in_one_program
-from rollkane.codegen.evaluation import evaluated
+from ..forced_particles import assert_native_is_diffrax, both
 
 RANDOM = np.random.default_rng(5)
 
@@ -97,14 +95,6 @@ ORDERS = {
 }  # fmt: skip
 
 
-def both(function, x):
-    """By a walk of single numbers, and by a program in C."""
-    return (
-        evaluated(function, x),
-        jax.jit(lambda x: in_one_program(function, x))(x),
-    )
-
-
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_solution_is_that_of_lapack(name):
     """To 100 roundings of a condition of 100: 8 rows in another order of sums."""
@@ -142,22 +132,4 @@ def force(q, stiffness):
 
 def test_functions_of_the_user_s_that_solve_run_in_c():
     """Values and derivatives are those by diffrax."""
-
-    def along(k):
-        return lambda t, q, u: [u[k], 0.0, 0.0]
-
-    def end(stiffness, method):
-        system = kane.KaneSystem(
-            *(3, 3, lambda t, q, u: u),
-            [kane.Particle(1.0, along(k)) for k in range(3)],
-            generalized_forces=lambda t, q, u, p: force(q, p),
-            parameters=stiffness,
-        )
-        start = kane.KaneState(jnp.array([0.4, -0.2, 0.3]), jnp.zeros(3))
-        run = kane.simulate(system, start, (0.0, 0.3), rtol=1e-11, method=method)
-        return run.q[-1]
-
-    for of in (end, jax.jacfwd(end), jax.jacrev(end)):
-        native, other = of(SWAPS, "native"), of(SWAPS, "diffrax")
-        # some twenty steps, each wrong by 1e-11 of a size of one, by either loop
-        np.testing.assert_allclose(native, other, atol=2 * 20 * 1e-11)
+    assert_native_is_diffrax(force, SWAPS, 0.3)

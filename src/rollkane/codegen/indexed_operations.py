@@ -11,7 +11,7 @@ import numpy as np
 
 from .along_an_axis import RUNNING, place_of_best, running, wins
 from .array_memory import Index, Look, Memory, value_of
-from .at_known_places import by_known_index, filled
+from .by_index import by_index, filled
 from .data_movement import Numbers, as_objects, numbers_of
 from .jaxpr_types import Equation
 from .memory_walk import MemoryWalk, Value
@@ -194,7 +194,7 @@ def _at_known(
     name, dtype = equation.primitive.name, equation.outvars[0].aval.dtype
     if not known and not (few and name == "gather" and given[0].size <= _CHOSEN**2):
         return None
-    return [by_known_index(walk.operation, name, given, equation.params, dtype)]
+    return [by_index(walk.operation, name, given, equation.params, dtype)]
 
 
 def _gathered(walk: MemoryWalk, equation: Equation, inputs: list[Value]) -> list[Value]:

@@ -17,7 +17,7 @@ import numpy as np
 from jax.extend import core
 
 from .along_an_axis import ALONG, along
-from .at_known_places import BY_INDEX, FEW, by_known_index
+from .by_index import BY_INDEX, FEW, by_index
 from .called_programs import CalledPrograms, rows_of
 from .data_movement import (
     MOVES,
@@ -178,7 +178,7 @@ class Walk:
         if name in MOVES:
             return [MOVES[name](inputs, params)]
         if name in BY_INDEX:
-            return [by_known_index(self.operation, name, inputs, params, dtype)]
+            return [by_index(self.operation, name, inputs, params, dtype)]
         if name == "dynamic_slice":
             return [self.sliced(inputs[0], inputs[1:], params["slice_sizes"], dtype)]
         return self.controlled(equation, inputs)

@@ -16,8 +16,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .jaxpr_types import ClosedJaxpr, Equation, Params
 
-# Rows of a matrix, and numbers that are sorted: beyond, so many operations are no
-# faster than a call, and take long to compile.
+# Rows of a matrix, and numbers that are sorted. The wait for a first result grows with
+# them: 0.4, 1.0 and 2.3 s of a system of 4, 8 and 12 rows, 0.1, 0.2 and 0.7 s of 6, 12
+# and 24 numbers (one run each, on a 2.5 GHz core).
 _MOST_ROWS, _MOST_SORTED = 8, 12
 
 
@@ -217,7 +218,10 @@ def _platform(platforms: Any) -> Array:
 def _sort(
     *operands: Array, dimension: int, is_stable: bool, num_keys: int
 ) -> list[Array]:
-    """By insertion: each goes before what is larger, so that equal ones stay."""
+    """By insertion: each goes before what is larger, so that equal ones stay.
+
+    Long ones are sorted in memory, which programs of single numbers do not have.
+    """
     del is_stable
     moved = [jnp.moveaxis(x, dimension, 0) for x in operands]
     count = moved[0].shape[0]

@@ -244,10 +244,8 @@ def _bounds(weights: Weights, carried: Run) -> Bounds:
     rows, nodes = weights.padded
     dips = dip_tables(np.concatenate([nodes, BESIDE]))
     known = carried.place.t
-    followed, smallest = (
-        at_precision(FOLLOWED, known),
-        at_precision(SMALLEST_SLIP, known),
-    )
+    followed = at_precision(FOLLOWED, known)
+    smallest = at_precision(SMALLEST_SLIP, known)
     sizes = RANGES, followed, smallest, SETTLES, NEARER
     return Bounds(*sizes, beside_ends(rows[-1]), dips)
 

@@ -34,8 +34,9 @@ from .user_events import Watched
 
 _ROOT = 1e-12  # of the event's value at the step's start
 _TOGETHER = 1e-9  # of the normal force at the step's start: no friction to speak of
-# [m/s^2], of a flight that rises by a rounding: twice the acceleration, and twice the
-# height, as it is seen to have landed within two of them
+# [m/s^2], v^2 over the height's rounding of a flight that rises by one: 2 a h, of twice
+# the height, as it is seen to have landed within two of them. With a = 100 m/s^2, as of
+# a base that is shaken by ten times gravity; what comes faster rebounds as any other
 _FALLS = 4.0 * 100.0
 # Cuts of one step, most, each to 0.9 of it or less: what is in doubt still then is no
 # more than rounding (an event's value that stays zero)

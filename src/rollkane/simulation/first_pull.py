@@ -19,13 +19,15 @@ from ..integration.backends import run_by, without_native
 from ..integration.integrate import Outcome
 from ..integration.plans import Problem
 from ..integration.prepared import prepared
+from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError
 from .samples import Axis, Samples, over_axes
 from .unreached_outputs import of_reached
 
 _Press = Callable[[Scene, Array, Any], Array]
-# Roundings of the clock from a jump to where a run begins behind it, and more.
-_BESIDE = 16.0
+# Roundings of the clock from a jump to where the force is looked at beside it: four
+# times as far as runs stay away from one.
+_BESIDE = 4.0 * BESIDE_JUMPS
 
 
 def first_pull_of(samples: Samples, press: _Press) -> Any:
@@ -221,7 +223,8 @@ def _searched(pulling: _Pulling, time: Float[Array, " T"], state: Any) -> _Found
         return found.happened.time[0]
 
     first: Callable[[Array], Array] = lambda x: x[:-1]
-    # a run that ends on a jump does not see what was before it
+    # a run that ends on a jump does not see what was before it: as far before its end
+    # as looks go behind its start, where two of each are between them
     far = jnp.abs(time[1:] - time[:-1]) > 4.0 * near[1:]
     before = jnp.where(far, time[1:] - way * near[1:], time[1:])
     ends = jnp.stack([time[:-1], before], axis=1)

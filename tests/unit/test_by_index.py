@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from rollkane import kane
-from rollkane.codegen import in_one_program
 from rollkane.codegen.evaluation import evaluated
+
+from ..forced_particles import assert_native_is_diffrax, both
 
 X = jnp.array([[0.3, -0.5, 0.9], [1.7, 0.2, -1.1], [0.6, 2.3, -0.4]])
 ROWS, COLUMNS, TWICE = np.array([0, 2]), np.array([1, 2]), np.array([0, 2, 2])
@@ -46,10 +46,7 @@ def test_it_is_what_xla_gives(name):
     """Nothing is computed but one sum or product a number: the same to the last bit."""
     function = FUNCTIONS[name]
     wanted = jax.jit(function)(X)
-    for found in (
-        evaluated(function, X),
-        jax.jit(lambda x: in_one_program(function, x))(X),
-    ):
+    for found in both(function, X):
         assert (found.shape, found.dtype) == (wanted.shape, wanted.dtype)
         np.testing.assert_array_equal(found, wanted)
 
@@ -70,23 +67,5 @@ def force(q, stiffness):
 
 def test_functions_of_the_user_s_that_use_them_run_in_c():
     """Values and derivatives are those by diffrax."""
-
-    def along(k):
-        return lambda t, q, u: [u[k], 0.0, 0.0]
-
-    def end(stiffness, method):
-        system = kane.KaneSystem(
-            *(3, 3, lambda t, q, u: u),
-            [kane.Particle(1.0, along(k)) for k in range(3)],
-            generalized_forces=lambda t, q, u, p: force(q, p),
-            parameters=stiffness,
-        )
-        start = kane.KaneState(jnp.array([0.4, -0.2, 0.3]), jnp.zeros(3))
-        run = kane.simulate(system, start, (0.0, 1.0), rtol=1e-11, method=method)
-        return run.q[-1]
-
     stiffness = jnp.array([[4.0, 0.3], [0.3, 5.0]])
-    for of in (end, jax.jacfwd(end), jax.jacrev(end)):
-        native, other = of(stiffness, "native"), of(stiffness, "diffrax")
-        # some twenty steps, each wrong by 1e-11 of a size of one, by either loop
-        np.testing.assert_allclose(native, other, atol=2 * 20 * 1e-11)
+    assert_native_is_diffrax(force, stiffness, 1.0)

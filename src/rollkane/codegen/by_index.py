@@ -37,7 +37,7 @@ BY_INDEX = frozenset(("gather", *_WRITES))
 _MOST = 1_000_000
 
 
-def by_known_index(
+def by_index(
     operation: Operation,
     name: str,
     inputs: list[Numbers],
@@ -61,7 +61,7 @@ def by_known_index(
         if name == "gather" and x.size <= FEW:
             return _chosen(operation, (x, indices), params, dtype)
         if name != "gather" and x.size <= FEW and indices.size == 1:
-            known = functools.partial(by_known_index, operation, name)
+            known = functools.partial(by_index, operation, name)
             return _put(operation, known, inputs, params, dtype)
         raise NotElementwiseError(f"{name} by an index that is computed")
     at = np.array(indices.reshape(-1).tolist(), np.int64).reshape(indices.shape)
