@@ -244,6 +244,7 @@ def test_a_run_ends_where_its_body_reaches_the_base_again(way):
     run = rk.simulate(pair, start, [0.0, 2.0], second_contact=True, **options)
     assert run.code == rk.Code.SECOND_CONTACT
     assert "second place" in run.reason
+    assert run.method == ("native" if way == "modes" else "diffrax")
     # at 0.5 m/s on what is flat: where it touches the plane, the hill is lower than
     # 0.25 exp(-0.1^2 / 0.002) = 1.7 mm, which lifts the ball and slows it: 1 mm
     where = reaches_the_post()
@@ -265,6 +266,7 @@ def test_a_flight_that_ends_at_two_places(looks):
     modes = rk.Modes(friction=0.5, restitution=0.2)
     run = rk.simulate(rod, up, [0.0, 0.5], modes=modes, second_contact=looks)
     assert run.code == rk.Code.SECOND_CONTACT
+    assert run.method == "native"
     # the rod's lower side, z = h - 0.05 sqrt(1 - (x / 0.6)^2), over 0.3 x^2
     x = np.linspace(-0.6, 0.6, 200001)
     drop = 0.3 - (0.3 * x * x + 0.05 * np.sqrt(1.0 - (x / 0.6) ** 2)).max()

@@ -156,6 +156,16 @@ class AbstractSurface(eqx.Module):
         """
         del point
 
+    def distances(
+        self, dtype: Any
+    ) -> Callable[[Float[Array, "3"]], Float[Array, ""] | None]:
+        """:meth:`signed_distance`, of many points.
+
+        Where that searches, what is the same for all points is computed here, once.
+        """
+        del dtype
+        return self.signed_distance
+
     def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
         """Positive while a contact point is on the surface; None: it has no end.
 

@@ -7,7 +7,7 @@ other surface has *explicit contact coordinates*, on a manifold without poles.
 
 import abc
 from collections.abc import Callable
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -125,31 +125,40 @@ class AbstractPointSurface(AbstractSurface):
         seed = self._nearest_sample(fixed)
         return self._refine(seed, _step_to(fixed), _newton_step_to(point))
 
-    def nearest(self, point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
-        """The nearest surface point about a point, by a few steps; no derivatives."""
-        point = jax.lax.stop_gradient(point)
-        step, longest = _step_to(point), self._search_step()
-        seed = self._nearest_sample(point)
+    def searching(
+        self, dtype: Any
+    ) -> Callable[[Float[Array, "3"]], tuple[Array, LocalGeometry]]:
+        """A search for the nearest surface point about a point; no derivatives.
 
-        def advance(u: Array, _: None) -> tuple[Array, None]:
-            return self._advanced(u, step, longest), None
+        A few steps; what is the same for all points is computed here, once.
+        """
+        seeds, places = self._sampled(dtype)
+        longest = self._search_step()
 
-        def gap(u: Array) -> Array:
-            return norm(self.point(u) - point)
+        def nearest(point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
+            point = jax.lax.stop_gradient(point)
+            step, seed = _step_to(point), _next_to(point, seeds, places)
 
-        u, _ = jax.lax.scan(advance, seed, length=8)
-        # far from a bent surface the steps do not converge
-        u = jnp.where(gap(u) < gap(seed), u, seed)
-        return u, self.geometry(u)
+            def advance(u: Array, _: None) -> tuple[Array, None]:
+                return self._advanced(u, step, longest), None
+
+            def gap(u: Array) -> Array:
+                return norm(self.point(u) - point)
+
+            u, _ = jax.lax.scan(advance, seed, length=8)
+            # far from a bent surface the steps do not converge
+            u = jnp.where(gap(u) < gap(seed), u, seed)
+            return u, self.geometry(u)
+
+        return nearest
 
     def _nearest_sample(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
-        seeds = jnp.asarray(self.samples(), dtype=point.dtype)
+        return _next_to(point, *self._sampled(point.dtype))
 
-        def gap(u: Array) -> Array:
-            return norm(self.point(u) - point)
-
-        gaps = jax.vmap(gap)(seeds)
-        return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
+    def _sampled(self, dtype: Any) -> tuple[Float[Array, "n k"], Float[Array, "n 3"]]:
+        """Coordinates over the whole surface, and their points [m]."""
+        seeds = jnp.asarray(self.samples(), dtype)
+        return seeds, jax.vmap(self.point)(seeds)
 
     def find_normal(
         self, normal: Float[Array, "3"], near: Float[Array, "3"] | None = None
@@ -292,6 +301,14 @@ class AbstractPairSurface(AbstractPointSurface):
     def spacing(self) -> tuple[float, float]:
         """Of the grid."""
         return grid_spacing(self.chart_domain)
+
+
+def _next_to(
+    point: Float[Array, "3"], seeds: Float[Array, "n k"], places: Float[Array, "n 3"]
+) -> Float[Array, " k"]:
+    """Of samples the one whose place is nearest to a point."""
+    gaps = jax.vmap(norm)(places - point[None])
+    return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
 
 
 def _step_to(target: Float[Array, "3"]) -> _Step:

@@ -255,36 +255,40 @@ class Revolution(AbstractPointSurface):
 
         Infinite beyond an end of the meridian that is no pole.
         """
-        target = jnp.stack([norm(point[:2]), point[2]])
+        return self.distances(point.dtype)(point)
+
+    def distances(self, dtype: Any) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
+        """The same, of many points."""
         first, last = self.domain
         meridian = meridian_of(self.profile)
-
-        def gap(place: Array) -> Array:
-            return norm(place - target)
-
-        seeds = jnp.linspace(first, last, DENSE, dtype=point.dtype)
+        seeds = jnp.linspace(first, last, DENSE, dtype=dtype)
         places = jax.vmap(meridian)(seeds)
-        gaps = jax.vmap(gap)(places)
         longest = (last - first) / (DENSE - 1)
+        closed = norm(places[0] - places[-1]) < 1e-6 * jnp.max(jnp.abs(places))
 
         def slope(s: Array) -> tuple[Array, Array]:
             return jax.jvp(meridian, (s,), (jnp.ones_like(s),))
 
-        def advance(s: Array, _: None) -> tuple[Array, None]:
-            (place, along), (_, bend) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
-            square, left = dot(along, along), target - place
-            curved = square - dot(left, bend)  # not positive far from the surface
-            curved = jnp.where(curved > 0.1 * square, curved, square)
-            return s + jnp.clip(dot(left, along) / curved, -longest, longest), None
+        def distance(point: Float[Array, "3"]) -> Float[Array, ""]:
+            target = jnp.stack([norm(point[:2]), point[2]])
 
-        s, _ = jax.lax.scan(advance, seeds[jnp.nanargmin(gaps)], length=6)
-        place, (r_1, z_1) = slope(s)
-        away, up = components(target - place)
-        out = self._side * (away * z_1 - up * r_1)
-        out = sign(out) * norm(target - place)
-        closed = norm(places[0] - places[-1]) < 1e-6 * jnp.max(jnp.abs(places))
-        beyond = (s < first) & (not self.poles[0]) | (s > last) & (not self.poles[1])
-        return jnp.where(beyond & ~closed, jnp.inf, out)
+            def advance(s: Array, _: None) -> tuple[Array, None]:
+                (place, along), (_, bend) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+                square, left = dot(along, along), target - place
+                curved = square - dot(left, bend)  # not positive far from the surface
+                curved = jnp.where(curved > 0.1 * square, curved, square)
+                return s + jnp.clip(dot(left, along) / curved, -longest, longest), None
+
+            gaps = jax.vmap(norm)(places - target[None])
+            s, _ = jax.lax.scan(advance, seeds[jnp.nanargmin(gaps)], length=6)
+            place, (r_1, z_1) = slope(s)
+            away, up = components(target - place)
+            out = sign(self._side * (away * z_1 - up * r_1)) * norm(target - place)
+            starts, ends = self.poles
+            beyond = (s < first) & (not starts) | (s > last) & (not ends)
+            return jnp.where(beyond & ~closed, jnp.inf, out)
+
+        return distance
 
     @property
     def chart_domain(self) -> Range:

@@ -235,16 +235,25 @@ class Parametric(AbstractPointSurface):
 
         Infinite beyond the ends of the domain, where the surface is not closed.
         """
-        u, place = self.nearest(point)
-        offset = point - place.position
-        out = sign(dot(offset, place.normal)) * norm(offset)
-        if self.of_direction:
-            return out
-        beyond = jnp.asarray(False)
-        slack = grid_spacing(self.domain)
-        for k, (low, high) in enumerate(self.domain):
-            beyond |= (u[k] < low - slack[k]) | (u[k] > high + slack[k])
-        return jnp.where(beyond, jnp.inf, out)
+        return self.distances(point.dtype)(point)
+
+    def distances(self, dtype: Any) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
+        """The same, of many points."""
+        nearest = self.searching(dtype)
+
+        def distance(point: Float[Array, "3"]) -> Float[Array, ""]:
+            u, place = nearest(point)
+            offset = point - place.position
+            out = sign(dot(offset, place.normal)) * norm(offset)
+            if self.of_direction:
+                return out
+            beyond = jnp.asarray(False)
+            slack = grid_spacing(self.domain)
+            for k, (low, high) in enumerate(self.domain):
+                beyond |= (u[k] < low - slack[k]) | (u[k] > high + slack[k])
+            return jnp.where(beyond, jnp.inf, out)
+
+        return distance
 
 
 class Implicit(AbstractPointSurface):
