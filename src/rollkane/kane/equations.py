@@ -21,7 +21,7 @@ from ..validation.user_functions import as_time
 from .closure import kept_state, kept_well
 from .dependent_speeds import share_of
 from .implied_rows import while_they_follow
-from .linear_solves import followed, inverse_of, solved
+from .linear_solves import followed, inverse_of, next_to, solved
 from .partial_velocities import (
     Partials,
     energy_of,
@@ -160,7 +160,7 @@ def allowed_state(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
 
     Where speeds are chosen as dependent the others are free. Else all are in the state,
     and what of them is not allowed would stay in it, and leak into what is, as the
-    constraints turn.
+    constraints turn. Next is by energy, as if the constraints came suddenly.
 
     Args:
         system: The system.
@@ -170,7 +170,11 @@ def allowed_state(system: KaneSystem, t: Array, state: KaneState) -> KaneState:
     if not system.by_multipliers:
         return state
     state = kept_well(system, t, state)
-    return KaneState(state.q, all_speeds(system, t, state))
+    partials = partials_of(system, t, state.q)
+    follow = speeds_of(system, partials, state.u).follow
+    given = jnp.concatenate([state.u, jnp.zeros(system.auxiliary, state.u.dtype)])
+    u = given + follow @ partials.at("constraints", given)
+    return KaneState(state.q, u[: system.speeds])
 
 
 def all_speeds(
@@ -277,7 +281,13 @@ def _rates(
 def speeds_of(
     system: KaneSystem, partials: Partials, u_independent: Float[Array, " i"]
 ) -> Speeds:
-    """Every speed from the independent ones, by the constraints."""
+    """Every speed from the independent ones, by the constraints.
+
+    Where all are independent, the allowed ones that are next by squares: what errors of
+    steps leave of others then keeps its length, as the projection is orthogonal by a
+    metric that does not change. By energy it would grow where the mass matrix changes,
+    without bound, and leak into the motion.
+    """
     size = system.speeds + system.auxiliary
     free = _places(size, system.independent, u_independent.dtype)
     u = free @ u_independent
@@ -288,8 +298,9 @@ def speeds_of(
         m = system.speeds
         M = masses_of(system, partials)[:m, :m]
         follow = -free @ followed(M, C[:, :m])
-        u = u + follow @ partials.at("constraints", u)
-        return Speeds(u, free + follow @ (C @ free), follow)
+        nearest = -free @ next_to(C[:, :m])
+        u = u + nearest @ partials.at("constraints", u)
+        return Speeds(u, free + nearest @ (C @ free), follow)
     bound = _places(size, system.dependent, u.dtype)
     follow = -bound @ inverse_of(C @ bound)
     if system.side is not None:  # beyond where they are determined there is no motion

@@ -102,6 +102,15 @@ def followed(M: Float[Array, "m m"], C: Float[Array, "c m"]) -> Float[Array, "m 
     return _solved_many(matmul(C, X), X.T).T
 
 
+def next_to(C: Float[Array, "c m"]) -> Float[Array, "m c"]:
+    """``C^T (C C^T)^-1``: least changes, by squares, that alter C u by one.
+
+    Args:
+        C: Of constraints that do not follow from each other.
+    """
+    return _solved_many(matmul(C, C.T), C).T
+
+
 def _solved_many(M: Float[Array, "m m"], rhs: Float[Array, "m k"]) -> Array:
     """``M^-1 rhs``, unrolled where it is small."""
     size = M.shape[0]
