@@ -94,6 +94,33 @@ def test_a_brief_dip_through_such_a_place_is_not_stepped_over(depth, rtol):
     assert -0.2 < float(run.final_state.q[0]) < level
 
 
+@pytest.mark.parametrize("angle", [0.03, 0.2, 0.45])
+def test_no_motion_goes_across_where_a_row_vanishes(angle):
+    """A rod as long as its crank: upright the slider is free, and motions part."""
+    r, inertia = 0.2, 0.003 * np.eye(3)
+    crank = kane.RigidBody(
+        0.5, inertia, lambda t, q, u: [0.0, 0.0, 0.0], lambda t, q, u: [0.0, 0.0, u[0]]
+    )
+    slider = kane.Particle(0.7, lambda t, q, u: [u[2], 0.0, 0.0])
+    closed = lambda t, q, u: [
+        -r * jnp.sin(q[0]) * u[0] - r * jnp.sin(q[1]) * u[1] - u[2],
+        r * jnp.cos(q[0]) * u[0] + r * jnp.cos(q[1]) * u[1],
+    ]
+    system = kane.KaneSystem(
+        *(3, 3, lambda t, q, u: u, [crank, slider]),
+        constraints=closed,
+        dependent=(1, 2),
+    )
+    q = np.array([angle, -angle, 2.0 * r * np.cos(angle)])
+    run = kane.simulate(system, kane.KaneState(q, np.array([3.0])), [0.0, 4.0])
+    assert int(run.code) == rk.Code.DEPENDENT_SPEEDS
+    # the row is as long as the cosine: of that of the start, as in the first test
+    end, share = run.final_state.q, 3.0 * np.sqrt(1e-9) * np.cos(angle)
+    assert np.cos(float(end[0])) == pytest.approx(share, rel=2e-3)
+    # on the motion that it began: 1e-9 for each of some thirty steps
+    np.testing.assert_allclose(end[1], -end[0], rtol=0, atol=30 * 1e-9)
+
+
 def test_choices_that_stay_determined_agree_with_multipliers():
     wanted = moved(None, rtol=1e-11)
     for chosen in (0,), (2,):

@@ -2,8 +2,10 @@
 
 Where the determinant of their part of the constraints passes zero, no equations of the
 independent speeds are left: next to it they grow as one over its square, and a step
-that jumps across has an error that its estimate does not see. So rates are NaN beyond,
-at every stage of a step.
+that jumps across has an error that its estimate does not see. Where a whole row passes
+zero, as that of a rod as long as its crank, the determinant of rows of unit length says
+nothing: motions part there, and an error of a step decides which one is followed. So
+rates are NaN beyond either, at every stage of a step.
 """
 
 from collections.abc import Callable
@@ -30,7 +32,7 @@ _TIMES, _LOOSE = 3.0, 1e-2
 # That counts for so many rows, a fourth root each: of many, all may become a little
 # shorter, as those of a chain of 15 links do, and nothing is undetermined
 _FEW = 4
-# How near to that a run is stuck: steps of the clock, 1e-14 of it, are far below
+# How near to either a run is stuck: steps of the clock, 1e-14 of it, are far below
 _THERE = 1e-3
 
 
@@ -61,27 +63,27 @@ def on_its_side(
 @for_few_operations
 def _side(
     C: Float[Array, "k m"], dependent: tuple[int, ...], rtol: Float[Array, ""]
-) -> Float[Array, ""]:
-    """What a determinant is multiplied by, so that it has to be larger than one."""
+) -> Float[Array, " r"]:
+    """What measures are multiplied by, so that they have to be larger than one."""
     least = jnp.minimum(_TIMES * jnp.sqrt(rtol), _LOOSE)
-    least = least ** max(1.0, len(dependent) / _FEW)
-    side = 1.0 / (least * _of_unit_rows(C, dependent))
+    powers = np.ones(1 + len(dependent))
+    powers[0] = max(1.0, len(dependent) / _FEW)
+    side = 1.0 / (least**powers * _measures(C, dependent))
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(side), side, 0.0))
 
 
-def _of_unit_rows(
-    C: Float[Array, "k m"], dependent: tuple[int, ...]
-) -> Float[Array, ""]:
-    """Determinant of what rows of unit length have of the dependent speeds."""
-    alike = C / jnp.sqrt(jnp.sum(C * C, axis=1))[:, None]
+def _measures(C: Float[Array, "k m"], dependent: tuple[int, ...]) -> Float[Array, " r"]:
+    """Determinant of what rows of unit length have of the dependent speeds; lengths."""
+    lengths = jnp.sqrt(jnp.sum(C * C, axis=1))
     bound = jnp.asarray(np.eye(C.shape[1])[:, list(dependent)], C.dtype)
-    return determinant(alike @ bound)
+    found = determinant((C / lengths[:, None]) @ bound)
+    return jnp.concatenate([found[None], lengths])
 
 
 def share_of(system: KaneSystem, C: Float[Array, "k m"]) -> Float[Array, ""]:
-    """The determinant, of the least that a motion may have; below one it ends."""
+    """What is smallest, of the least that a motion may have; below one it ends."""
     assert system.side is not None
-    return _of_unit_rows(C, system.dependent) * system.side
+    return jnp.min(_measures(C, system.dependent) * system.side)
 
 
 def of_side(system: KaneSystem, side: Any) -> KaneSystem:
@@ -90,6 +92,11 @@ def of_side(system: KaneSystem, side: Any) -> KaneSystem:
         return system
     alone: Callable[[object], bool] = lambda x: x is None
     return eqx.tree_at(lambda s: s.side, system, side, is_leaf=alone)
+
+
+def with_as_many_numbers(system: KaneSystem) -> KaneSystem:
+    """A system that has as many numbers as a motion's, by which faults are told."""
+    return of_side(system, np.zeros(1 + len(system.dependent)))
 
 
 def undetermined(system: KaneSystem, t: Array, state: KaneState) -> Array:

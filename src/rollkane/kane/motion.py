@@ -21,7 +21,7 @@ from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError, is_traced, real_numbers
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
-from .dependent_speeds import of_side, on_its_side, undetermined
+from .dependent_speeds import on_its_side, undetermined, with_as_many_numbers
 from .equations import (
     all_speeds,
     allowed_state,
@@ -93,7 +93,7 @@ class KaneTrajectory(eqx.Module):
     @property
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
-        moved = of_side(self.system, self.final_time)  # with as many numbers
+        moved = with_as_many_numbers(self.system)
         fields = Fields.of(moved, self.final_state, "system")
         row = ""
         if int(self.code) == Code.NO_LONGER_REDUNDANT:

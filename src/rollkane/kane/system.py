@@ -58,7 +58,8 @@ class KaneSystem(eqx.Module):
         shared: What several functions need, evaluated once; None for none.
         kinks: Times at which functions of time jump [s]; None: none are known.
         side: Of a motion's system, one over the least determinant that the constraints
-            may have of the dependent speeds, with its sign; None: of no motion.
+            may have of the dependent speeds, with its sign, and over the least lengths
+            of their rows; None: of no motion.
     """
 
     kinematics: GivenFunction
@@ -72,7 +73,7 @@ class KaneSystem(eqx.Module):
     parameters: Any
     shared: GivenFunction | None
     kinks: Float[Array, " k"] | None
-    side: Float[Array, ""] | None
+    side: Float[Array, " r"] | None
     coordinates: int = eqx.field(static=True)
     speeds: int = eqx.field(static=True)
     dependent: tuple[int, ...] = eqx.field(static=True)
