@@ -80,6 +80,55 @@ def test_a_start_on_its_bound(target):
     assert (found.z[0] == 0.0) == (target < 0.0)
 
 
+DECAY = np.linspace(0.0, 3.0, 30)  # times of samples of 2 exp(-t / 2)
+
+
+def decay(z):
+    """Misfits of a exp(-k t), of which the samples are known to 0.01."""
+    k, a = z
+    e = np.exp(-k * DECAY)
+    residual = 100.0 * (a * e - 2.0 * np.exp(-0.5 * DECAY))
+    return Evaluation(residual, 100.0 * np.stack([-a * DECAY * e, e], axis=1), 0)
+
+
+@pytest.mark.parametrize("start", [(0.1, 1.0), (0.39, 1.5), (0.2, 4.0), (0.4, 3.0)])
+def test_a_search_ends_on_the_bound_that_holds_it(start):
+    """Whatever the guess: k of 0.5 is beyond its bound 0.4, and misfits bend."""
+    lower, upper = np.array([-9.0, -9.0]), np.array([0.4, 9.0])
+    found = minimize(decay, np.array(start), lower, upper, np.ones(2))
+    assert found.converged
+    assert found.z[0] == 0.4
+    layout = SimpleNamespace(lower=lower, upper=upper, scale=np.ones(2))
+    known = coordinate_covariance(found.at, layout, found.z)
+    # the amplitude alone is free: its deviation, where nothing depends on it
+    alone = np.sum(decay((0.4, 1.0)).jacobian[:, 1] ** 2)
+    # roundings of sums of 30 squares, 1e-16 of each
+    np.testing.assert_allclose(known, [[0.0, 0.0], [0.0, 1.0 / alone]], rtol=1e-13)
+
+
+@pytest.mark.parametrize("beyond", [1e-4, -1e-4])
+@pytest.mark.parametrize("start", [1.0, 1.0 - 3e-4, 0.5])
+def test_a_bound_near_a_minimum_holds_where_the_minimum_is_beyond(start, beyond):
+    """By less than is searched for, a thousandth of a deviation, from any guess."""
+    at = lambda z: Evaluation(z - (1.0 + beyond), np.ones((1, 1)), 0)
+    lower, upper, size = np.zeros(1), np.ones(1), np.ones(1)
+    found = minimize(at, np.array([start]), lower, upper, size)
+    layout = SimpleNamespace(lower=lower, upper=upper, scale=size)
+    known = coordinate_covariance(found.at, layout, found.z)
+    assert found.converged
+    assert known[0, 0] == pytest.approx(float(beyond < 0.0), rel=1e-14)
+
+
+def test_what_is_hardly_seen_is_not_driven_to_a_bound():
+    """A column of 1e-9, at the other's minimum: a step to the bound lowers nothing."""
+    A = np.array([[1.0, 1e-9], [2.0, 0.0], [0.5, 0.0]])
+    upper = np.array([np.inf, 7.2])
+    at = of_matrix(A, np.array([5.0, 0.0, 0.0]))
+    found = minimize(at, np.array([5.0 / 5.25, 7.0]), free(2)[0], upper, np.ones(2))
+    assert found.converged
+    assert found.z[1] == 7.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_box_against_another_solver(seed):
     rng = np.random.default_rng(seed)

@@ -5,7 +5,8 @@ matter. The damping is raised until no coordinate moves by more than a reach tha
 with success: where a record hardly shows a coordinate, the linear model would send it
 far away. A coordinate on its bound is left out as long as the descent leads out of it
 (and so a start on a bound does not stall); steps are cut to the box, and judged by what
-the linear model says of the cut step.
+the linear model says of the cut step. A search whose last step would reach a bound ends
+on it, not beside it by less than the search waits for: what is held there is known.
 
 Where misfits bend along a narrow valley, a straight step leaves it soon. What they bent
 by along the last step is known without another run; a second-order correction by it
@@ -30,6 +31,9 @@ _FIRST_REACH = 0.3
 # Longest correction, relative to its step: beyond it the second order is not small
 # beside the first (Transtrum and Sethna's bound).
 _MOST_BENT = 0.75
+# How near to a bound a last step may begin that ends on it, relative to the
+# coordinates' sizes: by a step without a promise, what is hardly seen goes no further.
+_BESIDE = 1e-3
 
 
 _LEAST_SCORE = 1e-6  # of a mean slope, beside 1 of least squares
@@ -203,18 +207,20 @@ def minimize(
             step = _step(r, J, *box, damping, scale)
         promised = 0.5 * (r @ r - np.sum((r + J @ step) ** 2))
         share = max(_LEAST_SHARE, 10.0 * float(np.finfo(at.residual.dtype).eps))
-        if 2.0 * promised <= least + share * cost:
+        waited = least + share * cost
+        if 2.0 * promised <= waited:
             converged = bool(damping <= 1.0)  # else the damping allows no step
+            if converged and _reaches_side(z, step, lower, upper, size):
+                ahead = _ahead(z, step, lower, upper)
+                tried = evaluate(ahead)
+                evaluations += 1
+                if 2.0 * (_cost(tried, loss) - cost) <= waited:
+                    z, at, cost = ahead, tried, _cost(tried, loss)
+                    path.append(z)
             break
         if bend is not None:
-            second = root * bend.along(step, scale)
-            bent = step + _step(0.5 * second, J, *box, damping, scale)
-            if _length(bent - step, scale) <= _MOST_BENT * _length(step, scale):
-                step = np.clip(bent, *box)
-        # what reaches a side is on it, not beside it by a rounding
-        ahead = np.where(
-            step <= box[0], lower, np.where(step >= box[1], upper, z + step)
-        )
+            step = _bent(step, root * bend.along(step, scale), J, *box, damping, scale)
+        ahead = _ahead(z, step, lower, upper)
         tried = evaluate(ahead)
         evaluations += 1
         found = _cost(tried, loss)
@@ -260,6 +266,28 @@ def _length(step: np.ndarray, scale: np.ndarray) -> float:
     return float(np.linalg.norm(scale * step))
 
 
+def _ahead(
+    z: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Where a step leads: what reaches a side is on it, not beside it by a rounding."""
+    below, above = step <= lower - z, step >= upper - z
+    return np.where(below, lower, np.where(above, upper, z + step))
+
+
+def _reaches_side(
+    z: np.ndarray,
+    step: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    size: np.ndarray,
+) -> bool:
+    """Whether a step leads from beside bounds onto them."""
+    ahead = _ahead(z, step, lower, upper)
+    on = (ahead != z) & ((ahead == lower) | (ahead == upper))
+    beside = np.abs(ahead - z) <= _BESIDE * size
+    return bool(on.any() and beside[on].all())
+
+
 def _cost(at: Evaluation, loss: Loss) -> float:
     if not at.usable:
         return np.inf
@@ -298,3 +326,25 @@ def _step(
             break
         inside &= ~out
     return step
+
+
+def _bent(
+    step: np.ndarray,
+    second: np.ndarray,
+    J: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    damping: float,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """A step corrected by how residuals bend along it, where that is less than it.
+
+    A coordinate that the step puts on a side stays there: the correction would leave it
+    beside the bound, by less and less with each step.
+    """
+    on = (step <= lower) | (step >= upper)
+    box = np.where(on, 0.0, lower), np.where(on, 0.0, upper)
+    bent = step + _step(0.5 * second, J, *box, damping, scale)
+    if _length(bent - step, scale) > _MOST_BENT * _length(step, scale):
+        return step
+    return np.clip(bent, lower, upper)
