@@ -467,6 +467,60 @@ def test_units_in_names_of_columns(tmp_path, header, unit):
 
 
 @pytest.mark.parametrize(
+    ("columns", "header", "says"),
+    [
+        (2, "acc (m/s2),time (s)", "'time .s.', as column 2, not the first"),
+        (2, "Acc Time", "'Time', as column 2, not the first"),
+        (2, '"acc_g"\t"time_s"', "as column 2, not the first"),
+        (3, "n,time (s),acc (g)", "'time .s.', as column 2, not the first"),
+        (3, "#,time,acc", "'time', as column 2, not the first"),
+        (
+            3,
+            "acc NS (g, raw), acc EW (g), t / s",
+            "'t / s', as column 3, not the first",
+        ),
+        (2, "sample,acc (g)", "'sample' as the first column, which is no time"),
+        (2, "No. acc_g", "'No.' as the first column, which is no time"),
+        (2, "Period (s), acceleration (g)", "'Period .s.' as the first column"),
+        (2, "t [s]; omega [rad/s]", "'omega .rad/s.', which is no acceleration"),
+        (2, "t / s, tilt / deg", "'tilt / deg', which is no acceleration"),
+        (3, "time (s), acc (m/s2), flag", "'flag', which is no acceleration"),
+        (3, "quake\ntime, ax, omega\n# in g", "line 2.*'omega', which is no accel"),
+    ],
+)
+def test_columns_that_a_header_names_otherwise(tmp_path, columns, header, says):
+    """By order or by what they are: no time, no acceleration."""
+    rows = "".join(f"{t}{',1' * (columns - 1)}\n" for t in (0.0, 0.01))
+    path = write(tmp_path, f"{header}\n{rows}")
+    with pytest.raises(rk.FieldError, match=rf"{says}.*(put the time|leave only)"):
+        rk.read_two_column(path)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time (s), acc NS (g), EW",
+        "time [s]; NS [g]; Up (vertical) [g]",
+        "Time, N-S, E/W",
+        "Time (s)  S36E (g)  090 (g)",
+        "Elapsed time (s), a_x, a_y",
+        "t, a1, a2",
+        "time, channel 1 (N/S), channel 2 (E/W)",
+        "time, station A, station B",
+        "Acceleration Time History",
+        "Acceleration in g, corrected, 20 Hz",
+        "Kobe 1995, origin time 05:46, component NS",
+        "Some quake, sample rate 100 Hz, NS",
+        "N E Z",
+    ],
+)
+def test_columns_that_a_header_names_in_order_or_not_at_all(tmp_path, header):
+    path = write(tmp_path, f"{header}\n0.00,1,2\n0.01,1,2\n")
+    record = rk.read_two_column(path, "g")
+    np.testing.assert_array_equal(record.acceleration, [[G, 2.0 * G]] * 2)
+
+
+@pytest.mark.parametrize(
     "line", ["2 100 NPTS, SPS", "2 100 Hz", "2 100 points, samples/s"]
 )
 def test_a_rate_is_no_step(tmp_path, line):

@@ -31,7 +31,6 @@ _PLAIN = re.compile(
 _RATE = re.compile(r"\bSPS\b|\bHZ\b|\bSAMPLES?\s*(?:/|PER)\s*S", re.IGNORECASE)
 _NO_UNIT = ("", "npts", "npt", "points", "pts", "dt")
 _WORDS = re.compile(r"[A-Za-zµμ]+$")
-_SINGLE = re.compile(r"[avdu][xyz\d]?$")
 _BY_NAME = {".vt2": "velocities", ".dt2": "displacements"}
 _OF_OTHERS = "give the record of accelerations (.AT2 of PEER), or mend the line"
 
@@ -189,22 +188,6 @@ def time_unit(file: Lines, header: Mapping[int, Said]) -> tuple[int, str | None]
                 file.refuse(i, problem, "mend the one that is wrong")
             line, told = i, unit
     return line, told
-
-
-def check_columns(file: Lines, header: Mapping[int, Said]) -> None:
-    """Refuse columns of velocities and displacements, by their names.
-
-    A line of names begins with the time. Single letters a, v, d, u are names, too.
-    """
-    for i, says in header.items():
-        names = re.split(r"[\s,;|]+", file.lines[i].lower().strip("#| \t"))
-        if len(names) < 2 or not re.match(r"t(ime)?\b", names[0]):
-            continue
-        single = all(_SINGLE.match(name) for name in names[1:])
-        others = single and any(name[0] != "a" for name in names[1:])
-        if others or says.kinds - {"acceleration"}:
-            problem = "names columns that are not accelerations"
-            file.refuse(i, problem, "leave only the time and accelerations")
 
 
 def counted(file: Lines, line: int, header: Mapping[int, Said]) -> Counted | None:

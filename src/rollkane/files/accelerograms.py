@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..validation.checks import FieldError
+from .accelerogram_columns import check_columns
 from .accelerogram_headers import (
-    check_columns,
     check_name,
     check_unit,
     counted,
@@ -177,15 +177,15 @@ def read_two_column(
 
     Raises:
         FieldError: the file cannot be read, is not such a record (gaps, unequal
-            steps, columns of velocities), an unknown unit, or one that the header
-            contradicts.
+            steps, columns that a header names otherwise: velocities, or the time
+            behind them), an unknown unit, or one that the header contradicts.
     """
     check_unit("read_two_column", unit)
     file = Lines("read_two_column", path)
     places, rows = _rows(file)
     header = header_says(file, 0, places[0])
     told = sample_unit(file, header, unit)
-    check_columns(file, header)
+    check_columns(file, header, len(rows[0]))
     _, seconds = time_unit(file, header)
     table = np.array(
         [file.numbers(row, i) for i, row in zip(places, rows, strict=True)]
