@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rollkane as rk
-from rollkane.dynamics import nearest_points
+from rollkane.dynamics import nearest_anywhere, nearest_points
 from rollkane.geometry.rotations import rotation_matrix
 from rollkane.kinematics.coordinates import FlyingState
 
@@ -130,7 +130,7 @@ def test_gap_is_that_of_the_nearest_of_all_places(body, base):
     turned, at = placed_near(base, 3, 0.6)
     still = (0.0, 0.0, 0.0)
     release = lambda q, r: rk.release(scene, q, still, r, still)
-    anywhere = lambda y: nearest_points.nearest_anywhere(scene, jnp.asarray(0.0), y)
+    anywhere = lambda y: nearest_anywhere.nearest_anywhere(scene, jnp.asarray(0.0), y)
     find = lambda q, r: anywhere(release(q, r))[0]
     found = np.asarray(jax.jit(jax.vmap(find))(turned, at))
     a, b = (x.ravel() for x in np.meshgrid(*[np.linspace(-np.pi, np.pi, 201)] * 2))
@@ -179,7 +179,7 @@ def test_nearest_points_of_a_wire_look_at_each_other(name):
 
     def found(q, r):
         state = rk.release(scene, q, still, r, still)
-        distance, near = nearest_points.nearest_anywhere(scene, jnp.asarray(0.0), state)
+        distance, near = nearest_anywhere.nearest_anywhere(scene, jnp.asarray(0.0), state)
         out = scene.base.surface.geometry(near.contact_on_base).normal
         if scene.has_contact_coordinates:
             inwards = scene.body.surface.geometry(near.contact_on_body).normal
@@ -233,7 +233,7 @@ def disc_over(base):
     def gap(e, r):
         still = jnp.zeros(3)
         state = FlyingState(e, still, base.locate(r), none, none, none, r, still)
-        return nearest_points.nearest_anywhere(scene, jnp.zeros(()), state)[0]
+        return nearest_anywhere.nearest_anywhere(scene, jnp.zeros(()), state)[0]
 
     return scene, gap
 

@@ -12,7 +12,7 @@ from ..geometry.small_linear import components, dot
 from ..validation.user_functions import GivenFunction, as_floats
 from .abstract_supported import rolling_parts
 from .loads import AbstractLoad
-from .nearest_points import at_nearest
+from .nearest_anywhere import at_nearest
 from .rolling import contact_of
 from .rolling_bodies import example_state
 from .scene import Scene, require_scene

@@ -13,7 +13,8 @@ from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
 from ..validation.checks import real_and_known, refuse
 from .bodies import Vector
 from .clearance import flying_pose, may_touch_twice
-from .nearest_points import NEWTON, begun_at, nearest, nearest_anywhere, places_of
+from .nearest_anywhere import nearest_anywhere
+from .nearest_points import NEWTON, begun_at, nearest, places_of
 from .rolling import contact_of
 from .scene import Scene
 

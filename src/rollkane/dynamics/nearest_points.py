@@ -1,11 +1,10 @@
 """The nearest points of body and base, by Newton's method.
 
-From points close to them (:func:`nearest`), or from the lowest of samples of the whole
-surfaces (:func:`nearest_anywhere`).
+From points close to them; those of whole surfaces: :mod:`.nearest_anywhere`.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias, TypeVar, cast
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -13,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from ..codegen.tracing import shared_in_c
 from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.small_linear import (
     components,
@@ -27,7 +25,7 @@ from ..geometry.small_linear import (
 )
 from ..geometry.surfaces import AbstractSurface
 from ..kinematics.coordinates import FlyingState
-from .clearance import flying_pose, lowest_places, may_touch_twice, reach_of
+from .clearance import flying_pose
 from .nearest_on_face import (
     has_face,
     is_nearest,
@@ -45,14 +43,13 @@ NEWTON = 16
 # rounding does not let it
 _CLOSE = 64
 
-_Value = TypeVar("_Value")
 # Coordinates of the nearest points on base and body.
-_Places: TypeAlias = tuple[Array, Array]
+Places: TypeAlias = tuple[Array, Array]
 # Steps taken, the points, and what was left before the last step and the gap there [m].
-_Search: TypeAlias = tuple[Int[Array, ""], _Places, Float[Array, ""], Float[Array, ""]]
+_Search: TypeAlias = tuple[Int[Array, ""], Places, Float[Array, ""], Float[Array, ""]]
 # A step of a search; see :func:`_improved`.
 _Improved: TypeAlias = Callable[
-    [Scene, Array, FlyingState], tuple[_Places, Float[Array, ""], Float[Array, ""]]
+    [Scene, Array, FlyingState], tuple[Places, Float[Array, ""], Float[Array, ""]]
 ]
 
 
@@ -71,12 +68,12 @@ def nearest(
     where the search did not converge. Where there are several nearest points, the ones
     next to the start are followed.
     """
-    found = _searched(*jax.lax.stop_gradient((scene, t, state)), steps)
-    gap, state = _nearest_from(scene, t, state, found)
+    found = searched(*jax.lax.stop_gradient((scene, t, state)), steps)
+    gap, state = nearest_from(scene, t, state, found)
     return jnp.where(jnp.isnan(found.gap), jnp.nan, gap), state
 
 
-class _Found(NamedTuple):
+class Found(NamedTuple):
     """What a search found.
 
     Attributes:
@@ -85,17 +82,17 @@ class _Found(NamedTuple):
         on_face: Whether the body's is on its face; None where it has none.
     """
 
-    places: _Places
+    places: Places
     gap: Float[Array, ""]
     on_face: Bool[Array, ""] | None
 
 
-def _searched(
+def searched(
     scene: Scene, t: Float[Array, ""], state: FlyingState, steps: Any = NEWTON
-) -> _Found:
+) -> Found:
     """The nearest points, on the body's face where they are there."""
     if not has_face(scene):
-        return _Found(*_by_newton(_improved, scene, t, state, steps), None)
+        return Found(*_by_newton(_improved, scene, t, state, steps), None)
     (below, _), of_face = _by_newton(nearer_to_face, scene, t, state, steps)
     holds = is_on_face(scene, t, state, below, of_face)
     near = jnp.where(jnp.isnan(of_face), state.contact_on_base, below)
@@ -104,7 +101,7 @@ def _searched(
     places, gap = _on_rim(rim, starts, t, state, steps)
     on_face = holds & ~(gap <= of_face)
     on_base = jnp.where(on_face, below, places[0])
-    return _Found((on_base, places[1]), jnp.where(on_face, of_face, gap), on_face)
+    return Found((on_base, places[1]), jnp.where(on_face, of_face, gap), on_face)
 
 
 def _on_rim(
@@ -113,12 +110,12 @@ def _on_rim(
     t: Float[Array, ""],
     state: FlyingState,
     steps: Any,
-) -> tuple[_Places, Float[Array, ""]]:
+) -> tuple[Places, Float[Array, ""]]:
     """The first point of a rim that is the nearest one, and its gap."""
 
     def tried(
-        best: tuple[_Places, Float[Array, ""]], start: Float[Array, " k"]
-    ) -> tuple[tuple[_Places, Float[Array, ""]], None]:
+        best: tuple[Places, Float[Array, ""]], start: Float[Array, " k"]
+    ) -> tuple[tuple[Places, Float[Array, ""]], None]:
         begun = eqx.tree_at(lambda s: s.contact_on_body, state, start)
         known = jnp.isfinite(best[1])
         places, gap = _by_newton(_improved, rim, t, begun, jnp.where(known, 0, steps))
@@ -136,7 +133,7 @@ def _by_newton(
     t: Float[Array, ""],
     state: FlyingState,
     steps: Any,
-) -> tuple[_Places, Float[Array, ""]]:
+) -> tuple[Places, Float[Array, ""]]:
     """Points where no step is left, and their gap, NaN if that is nowhere."""
     size = 1.0 + norm(state.position)
     close: Float[Array, ""] = _CLOSE * np.finfo(size.dtype).eps * size
@@ -156,8 +153,8 @@ def _by_newton(
     return found, jnp.where(converged, gap, jnp.nan)
 
 
-def _nearest_from(
-    scene: Scene, t: Float[Array, ""], state: FlyingState, found: _Found
+def nearest_from(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, found: Found
 ) -> tuple[Float[Array, ""], FlyingState]:
     """:func:`nearest` from points that are it, to which it gives their derivative.
 
@@ -192,76 +189,6 @@ def _at_unit(surface: AbstractSurface, u: Float[Array, " k"]) -> Float[Array, " 
     return u
 
 
-@shared_in_c
-def nearest_anywhere(
-    scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[Float[Array, ""], FlyingState]:
-    """The same of the whole surfaces, where they may touch at several places.
-
-    The search begins where samples of both surfaces are nearest
-    (:func:`rollkane.dynamics.clearance.lowest_places`), wherever the state's
-    coordinates are.
-    """
-    if not may_touch_twice(scene):
-        return nearest(scene, t, state)
-    fixed = jax.lax.stop_gradient((scene, t, state))
-    gaps, starts = lowest_places(*fixed)
-
-    def near(low: tuple[Array, Float[Array, "3"]]) -> _Found:
-        # no step, which finds nothing, from where there is no low sample
-        gap, place = low
-        steps = jnp.where(jnp.isfinite(gap), NEWTON, 0)
-        return _searched(*fixed[:2], begun_at(*fixed, place), steps)
-
-    # one after the other: a program of one is compiled in a fraction of the time
-    found = cast(_Found, jax.lax.map(near, (gaps, starts)))
-    # far from an uneven base Newton's method may go astray: there the samples will do
-    size = reach_of(fixed[0].body.surface, gaps.dtype)
-    strays = ~(jnp.abs(found.gap - gaps) <= 0.1 * size + 0.2 * jnp.abs(gaps))
-    best = jnp.argmin(jnp.where(strays, gaps, found.gap))
-    at_best: Callable[[Array], Array] = lambda x: x[best]
-    gap, closest = _nearest_from(scene, t, state, jax.tree.map(at_best, found))
-    return jnp.where(strays[best], gaps[best], gap), closest
-
-
-def at_nearest(
-    scene: Scene, t: Float[Array, ""], state: Any, function: Callable[[Any], _Value]
-) -> _Value:
-    """What a function of a state gives, in flight at the nearest points.
-
-    A flight has them at the ends of its steps, if it may land; here they are looked for
-    where the function looks at them, and nowhere else.
-    """
-    if state.touches or not _reads_places(function, state):
-        return function(state)
-    return function(nearest_anywhere(scene, t, state)[1])
-
-
-def _reads_places(function: Callable[[Any], Any], state: FlyingState) -> bool:
-    """Whether a function looks at the coordinates of the nearest points."""
-
-    def of_places(places: _Places) -> Any:
-        return function(eqx.tree_at(places_of, state, places))
-
-    program = jax.make_jaxpr(of_places)(places_of(state)).jaxpr
-    return _reads(program, program.invars)
-
-
-def _reads(program: Any, variables: Sequence[Any]) -> bool:
-    """Whether a traced program does anything with some of its variables."""
-    asked = {id(v) for v in variables}
-    for equation in program.eqns:
-        given = [id(v) in asked for v in equation.invars]
-        if any(given) and equation.primitive.name not in ("jit", "pjit"):
-            return True
-        if any(given):
-            inner = equation.params["jaxpr"].jaxpr
-            taken = [v for v, own in zip(inner.invars, given, strict=True) if own]
-            if _reads(inner, taken):
-                return True
-    return any(id(v) in asked for v in program.outvars)
-
-
 def begun_at(
     scene: Scene, t: Float[Array, ""], state: FlyingState, place: Float[Array, "3"]
 ) -> FlyingState:
@@ -291,14 +218,14 @@ def begun_at(
     return eqx.tree_at(places_of, state, (on_base, on_body))
 
 
-def places_of(state: FlyingState) -> _Places:
+def places_of(state: FlyingState) -> Places:
     """Coordinates of a state's nearest points, on base and body."""
     return state.contact_on_base, state.contact_on_body
 
 
 def _improved(
     scene: Scene, t: Float[Array, ""], state: FlyingState
-) -> tuple[_Places, Float[Array, ""], Float[Array, ""]]:
+) -> tuple[Places, Float[Array, ""], Float[Array, ""]]:
     """Points after a Newton step; the largest of what was left before it, and the gap.
 
     Nearest are points whose join is across both tangents of the base, to which the
@@ -317,7 +244,7 @@ def _improved(
         normal = matvec(to_base, shell.normal)
         left += [dot(tangent, normal) for tangent in tangents]
 
-    def moved(x: Float[Array, " m"]) -> _Places:
+    def moved(x: Float[Array, " m"]) -> Places:
         on_base, on_body = places_of(state)
         on_base = on_base + base.coordinate_rates(on_base, still[0], x[:2])
         if normal is not None:

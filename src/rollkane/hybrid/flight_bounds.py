@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from ..dynamics.clearance import may_touch_twice
 from ..dynamics.gap import closing
-from ..dynamics.nearest_points import nearest_anywhere
+from ..dynamics.nearest_anywhere import nearest_anywhere
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import norm
 from ..kinematics.coordinates import State, pack, unpack

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.tableau import Tableau, stage_sum
 from ..dynamics.directed_friction import begins
-from ..dynamics.nearest_points import nearest_anywhere
+from ..dynamics.nearest_anywhere import nearest_anywhere
 from ..dynamics.rolling import (
     at_contact,
     rolling_derivative,

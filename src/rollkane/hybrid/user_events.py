@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.event_layout import Layout
-from ..dynamics.nearest_points import at_nearest
+from ..dynamics.nearest_anywhere import at_nearest
 from ..integration.event_search import (
     Events,
     Happened,

@@ -84,7 +84,7 @@ SURFACES = tables_of(
         ),
         "parametric": (
             "A surface by its position as a function of q1 and q2.",
-            f"{_HERE}.user_surfaces.Parametric",
+            f"{_HERE}.parametric.Parametric",
             _Parametric,
             # formulas are of a pair, not of a direction
             {"position": ("x", "y", "z"), "of_direction": ()},

@@ -12,7 +12,7 @@ from .edges import DiscEdge as DiscEdge
 from .edges import Ring as Ring
 from .kinds import AbstractNormalSurface as AbstractNormalSurface
 from .kinds import AbstractPointSurface as AbstractPointSurface
+from .parametric import Parametric as Parametric
 from .revolution import Revolution as Revolution
 from .user_surfaces import Graph as Graph
 from .user_surfaces import Implicit as Implicit
-from .user_surfaces import Parametric as Parametric

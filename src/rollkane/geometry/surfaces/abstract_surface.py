@@ -166,6 +166,17 @@ class AbstractSurface(eqx.Module):
         del dtype
         return self.signed_distance
 
+    def continued_to(
+        self, u: Float[Array, " k"]
+    ) -> tuple["AbstractSurface", Float[Array, " k"]] | None:
+        """The same surface with its samples about a place beyond them.
+
+        Of a surface that goes on there, for searches; with what its coordinates need to
+        be those of this one, zero where the place is among the samples. None: there is
+        nothing beyond, or the distance from it takes no search.
+        """
+        del u
+
     def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
         """Positive while a contact point is on the surface; None: it has no end.
 

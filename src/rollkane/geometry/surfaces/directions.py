@@ -1,6 +1,6 @@
 """Directions and grids: coordinates of a sphere, domains and samples of surfaces."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -47,6 +47,15 @@ def grid_spacing(domain: Range) -> tuple[float, float]:
     """Distances of the pairs of ``grid_of`` along both coordinates."""
     first, second = ((high - low) / (_PAIR_SAMPLES - 1) for low, high in domain)
     return first, second
+
+
+def beyond(
+    u: Float[Array, " k"], domain: Sequence[tuple[float, float]]
+) -> Float[Array, " k"]:
+    """From the middle of ranges to coordinates outside of one; zero within them."""
+    low, high = jnp.asarray(np.array(domain).T, u.dtype)
+    outside = jnp.any((u < low) | (u > high))
+    return jnp.where(outside, u - 0.5 * (low + high), 0.0)
 
 
 def direction_of(q: Float[Array, "2"]) -> Float[Array, "3"]:

@@ -18,6 +18,7 @@ from .directions import (
     SPHERE_SAMPLES,
     SPHERE_SPACING,
     Range,
+    beyond,
     direction_rates,
     domain_of,
     grid_of,
@@ -33,6 +34,7 @@ from .meridians import (
     refuse_tips,
     sampled,
 )
+from .moved import MovedFunction
 
 
 class _OnMeridian(NamedTuple):
@@ -223,6 +225,17 @@ class Revolution(AbstractPointSurface):
         if sum(self.poles) != 1:
             return None
         return self.domain[1] - self.domain[0] - norm(u)
+
+    def continued_to(
+        self, u: Float[Array, " k"]
+    ) -> tuple["Revolution", Float[Array, " k"]] | None:
+        """Without poles: the surface with its samples about a pair beyond."""
+        if any(self.poles):
+            return None
+        shift = beyond(u[:1], [self.domain])
+        moved = MovedFunction(self.profile, shift)
+        around = jnp.concatenate([shift, jnp.zeros_like(shift)])
+        return eqx.tree_at(lambda s: s.profile, self, moved), around
 
     def samples(self) -> np.ndarray:
         """Coordinates over the whole domain of the meridian and once round."""
