@@ -2,6 +2,8 @@
 
 import http.client
 import json
+import shutil
+import subprocess
 import threading
 
 import jax
@@ -11,6 +13,7 @@ import pytest
 import rollkane as rk
 from rollkane.cli.live_command import LiveServer
 from rollkane.files.scene_files import SceneFileError, builtin_scenes, load_scene
+from rollkane.pictures import viewer
 from rollkane.pictures.live_run import LEAST_RTOL, LiveRun
 from tests.unit.test_cli import BALL, rollkane_with
 from tests.unit.test_viewer import Page, unpacked
@@ -147,6 +150,69 @@ def test_rolling_bodies_are_taken_again_while_their_tables_stay():
     np.testing.assert_array_equal(heavier.start.contact, first.start.contact)
 
 
+VALLEY = (
+    BALL[: BALL.index("[base.")]
+    + """
+[base]
+surface = { kind = "graph", f = "0.02*y**2" }
+[start]
+rotations = []
+contact_on_base = [0.0, 0.0, 0.0]
+angular_velocity = [0.0, 1.0, 0.0]
+[run]
+duration = 1.0
+outputs = 21
+"""
+)
+
+
+def box(mesh):
+    return [mesh["low"], mesh["high"]]
+
+
+def test_a_base_is_drawn_as_far_as_a_motion_goes(tmp_path):
+    """A valley without ends: what is drawn of it is enough, or comes anew."""
+    path = tmp_path / "valley.toml"
+    path.write_text(VALLEY)
+    live = LiveRun(path)
+    first = live.data({})
+    drawn = [box(first["base"]), box(first["body"])]
+    spin = "start.angular_velocity[1]"
+    for rate, renewed in ((1.1, False), (-9.0, True), (9.0, True)):
+        values = {spin: rate}
+        assert not live.changes_shapes(values, {})
+        data = live.data(values, False, drawn)
+        assert ("base" in data) == renewed
+        low, high = np.array(box(data["base"]) if renewed else drawn[0])[:, :2]
+        touched = unpacked(data["frames"]["contact_on_base"])[:, :2]
+        assert (low < touched).all()
+        assert (touched < high).all()
+    # a body that is closed is never left
+    assert "body" not in live.data({spin: 9.0}, False, [None, drawn[1]])
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
+@pytest.mark.parametrize(("far", "radius"), [(1.9, 3.0), (-2.1, 4.2)])
+def test_a_plane_is_laid_as_far_as_a_motion_goes(far, radius):
+    """It fades out from about half of its radius, which two thirds of it still show."""
+    program = "".join(map(viewer._asset, ("motion.js", "stage.js"))) + (
+        f"const motion = {{ count: 2, row: (_, k) => [1 + k * {far}, 0.5, 0] }};"
+        "const part = { dispose() {} };"
+        "const material = { ...part, map: part, alphaMap: part };"
+        "const stage = {"
+        "  laid: { center: [1, 0.5], radius: 3 }, base: { remove() {} },"
+        "  ground: { geometry: part, material },"
+        "  lay(laid) { this.laid = laid; },"
+        "};"
+        "rollkane.Stage.prototype.reach.call(stage, motion);"
+        "console.log(stage.laid.radius);"
+    )
+    done = subprocess.run(
+        ["node", "-"], input=program, capture_output=True, text=True, check=True
+    )
+    assert float(done.stdout) == pytest.approx(radius, rel=1e-15)
+
+
 def test_ranges_are_chosen_and_checked(ball):
     live = LiveRun(ball, {"body.mass": (1.0, 2.0)})
     assert [one[:] for one in live.numbers] == [("body.mass", 1.0, 1.0, 2.0)]
@@ -197,15 +263,73 @@ def test_a_question_is_answered_by_the_motion(server, live):
             '{"values": {"body.colour": 1}, "shown": {}}',
             "is no number that is dragged",
         ),
-        ('{"body.mass": 2}', "values"),
-        ("[1]", ""),
-        ("nonsense", "Expecting value"),
     ],
 )
 def test_what_cannot_be_run_is_told(server, question, says):
     status, text = ask(server, "POST", f"/{server.key}/run", question)
     assert status == 200
     assert says in json.loads(text)["refused"]
+
+
+NOTHING = '{"values": {}, "shown": {}, "drawn": %s}'
+MALFORMED = {
+    '{"body.mass": 2}': "values is no object of numbers by path",
+    '{"values":[],"shown":[]}': "values is no object of numbers by path",
+    '{"values": {}, "shown": {"body.mass": "2"}}': "shown of 'body.mass' is no finite",
+    '{"values": {"body.mass": %s}, "shown": {}}' % ("9" * 400): "is no finite number",
+    '{"values": {"body.mass": NaN}, "shown": {}}': "is no finite number",
+    '{"values": {"body.mass": true}, "shown": {}}': "is no finite number",
+    NOTHING % "3": "drawn is no list of boxes",
+    NOTHING % "[[[0, 0, 0]]]": "is not two corners of three numbers",
+    NOTHING % '[null, [[0, 0, 0], [1, 1, "x"]]]': "a box in drawn is no finite number",
+    "[1]": "no object with values and shown",
+    "nonsense": "Expecting value",
+    "9" * 5000: "no JSON",
+    "[" * 50_000: "nested too deeply",
+    "": "the question is empty",
+}
+
+
+@pytest.mark.parametrize("question", MALFORMED, ids=lambda text: text[:45])
+def test_malformed_questions_are_answered(server, question):
+    """By one sentence, and the connection goes on."""
+    line = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
+    path, headers = f"/{server.key}/run", {"Host": server.host}
+    line.request("POST", path, question, headers)
+    kept = line.sock
+    answer = line.getresponse()
+    told = json.loads(answer.read())["refused"]
+    assert answer.status == 400
+    assert MALFORMED[question] in told
+    assert "\n" not in told
+    line.request("GET", f"/{server.key}/other", headers=headers)
+    assert line.getresponse().status == 404
+    assert line.sock is kept
+    line.close()
+
+
+@pytest.mark.parametrize("length", ["abc", "-5", "1.5", "9" * 5000])
+def test_lengths_that_are_none(server, length):
+    line = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
+    headers = {"Host": server.host, "Content-Length": length}
+    line.request("POST", f"/{server.key}/run", "{}", headers)
+    answer = line.getresponse()
+    assert answer.status == 400
+    assert "Content-Length" in json.loads(answer.read())["refused"]
+    assert answer.getheader("Connection") == "close"
+    line.close()
+
+
+def test_what_is_too_long_is_no_question_afterwards(server):
+    line = http.client.HTTPConnection(*server.server_address[:2], timeout=60)
+    headers = {"Host": server.host}
+    question = " " * 100_001 + json.dumps({"values": {}, "shown": {}})
+    for size, status in ((question, 413), (question[100_001:], 200)):
+        line.request("POST", f"/{server.key}/run", size, headers)
+        answer = line.getresponse()
+        answer.read()
+        assert answer.status == status
+    line.close()
 
 
 def test_strangers_are_not_answered(server):

@@ -6,6 +6,7 @@ knows the page's address, which nobody can guess.
 """
 
 import json
+import re
 import secrets
 import threading
 import webbrowser
@@ -15,11 +16,14 @@ from typing import Any, cast
 
 import click
 
+from .live_question import MalformedQuestion, question_of
 from .option_values import refuse
 from .preparation import loaded, scene_argument, start_jax
 
 _HOST = "127.0.0.1"
 _LONGEST = 100_000  # of a question [bytes]
+_BYTES = re.compile(r"[0-9]{1,15}")
+_MOST_READ = 100 * _LONGEST  # of what is too long, so that its sender hears why [bytes]
 
 
 @click.command()
@@ -119,16 +123,19 @@ class LiveServer(ThreadingHTTPServer):
         return page_of(data, title, ("live.js",), "'self'").encode()
 
     def answer(self, question: bytes) -> bytes:
-        """A motion for ``values`` by path where others are ``shown``, or why none."""
+        """A motion for ``values`` by path where others are ``shown``, or why none.
+
+        Raises:
+            MalformedQuestion: it is no such question.
+        """
         from ..files.scene_files import SceneFileError
         from ..validation.checks import FieldError
 
+        values, shown, drawn = question_of(question)
         try:
-            asked = json.loads(question)
-            values, shown = asked["values"], asked["shown"]
             with self._lock:
                 shapes = self._run.changes_shapes(values, shown)
-                found = self._run.data(values, shapes)
+                found = self._run.data(values, shapes, drawn)
         except SceneFileError as error:
             found = {"refused": str(error).split("\n", 1)[0]}
         except (FieldError, ValueError, TypeError, KeyError) as error:
@@ -152,13 +159,36 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """A motion for other numbers."""
-        length = int(self.headers.get("Content-Length") or 0)
-        if not 0 < length <= _LONGEST:
-            self._send(413, "text/plain", b"too long")
+        told = self.headers.get("Content-Length") or "0"
+        if not _BYTES.fullmatch(told):
+            self.close_connection = True  # nobody knows where the next question begins
+            self._refuse(400, "Content-Length is no number of bytes")
+            return
+        length = int(told)
+        if length > _LONGEST:
+            self._pass_over(length)
+            self._refuse(413, f"the question is longer than {_LONGEST} bytes")
             return
         question = self.rfile.read(length)
-        if self._is_known("/run"):
-            self._send(200, "application/json", self._live.answer(question))
+        if not self._is_known("/run"):
+            return
+        try:
+            answer = self._live.answer(question)
+        except MalformedQuestion as error:
+            self._refuse(400, str(error))
+        else:
+            self._send(200, "application/json", answer)
+
+    def _pass_over(self, length: int) -> None:
+        """Read what is not looked at: what is left of it would be the next question."""
+        self.close_connection = length > _MOST_READ
+        left = min(length, _MOST_READ)
+        while left > 0:
+            piece = self.rfile.read(min(left, _LONGEST))
+            left = left - len(piece) if piece else 0
+
+    def _refuse(self, status: int, why: str) -> None:
+        self._send(status, "application/json", json.dumps({"refused": why}).encode())
 
     def _is_known(self, path: str) -> bool:
         """Whether the address is the page's, asked for by its own name."""
@@ -173,6 +203,8 @@ class _Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Cache-Control", "no-store")
+        if self.close_connection:
+            self.send_header("Connection", "close")
         self.end_headers()
         self.wfile.write(body)
 

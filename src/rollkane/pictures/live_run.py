@@ -101,19 +101,26 @@ class LiveRun:
         rtol = max(file.rtol or LEAST_RTOL, LEAST_RTOL)
         return simulate(file.scene, file.start, self._times, rtol=rtol, **how)
 
-    def data(self, values: Mapping[str, float], shapes: bool = True) -> dict[str, Any]:
+    def data(
+        self,
+        values: Mapping[str, float],
+        shapes: bool = True,
+        drawn: Sequence[Any] = (),
+    ) -> dict[str, Any]:
         """What the page shows of it, as :func:`rollkane.pictures.viewer.view_data`.
 
         Args:
             values: By path.
             shapes: Whether with the meshes of the surfaces; without, ``body``, ``base``
                 and ``rolling`` are left out, as they are the same as before.
+            drawn: How far they are drawn, as :func:`view_data` takes it: they come,
+                too, where the motion leaves that.
 
         Raises:
             SceneFileError: numbers that the scene cannot have.
             FieldError: a path that is not dragged; a run of which no state is finite.
         """
-        return view_data(self.run(values), self.file.title, shapes=shapes)
+        return view_data(self.run(values), self.file.title, shapes=shapes, drawn=drawn)
 
     def changes_shapes(
         self, values: Mapping[str, float], shown: Mapping[str, float]

@@ -28,6 +28,9 @@ from .rolling_meshes import RollingMeshes, rolling_meshes
 MOST_FRAMES = 2000
 MOST_GHOSTS, _GHOST_FRAMES = 32, 400
 _MOST_EVENTS = 500  # marks on the time line
+# How far the chords of a round mesh sag, of its width: 88 of them go round, and half of
+# (pi / 88)^2 is 6e-4. Beyond what is drawn by less no eye sees a contact.
+_SAG = 1e-3
 _SCRIPTS = (
     *("three.bundle.js", "motion.js", "marks.js", "stage.js", "timeline.js"),
     *("capture.js", "viewer.js"),
@@ -116,6 +119,7 @@ def view_data(
     title: str = "",
     ghosts: Sequence[Trajectory] = (),
     shapes: bool = True,
+    drawn: Sequence[Any] = (),
 ) -> dict[str, Any]:
     """What the page's programs are given, ready for JSON.
 
@@ -125,6 +129,9 @@ def view_data(
         ghosts: Other runs of the same body.
         shapes: Whether with ``size``, ``body``, ``base`` and ``rolling``, which do not
             change where surfaces stay the same.
+        drawn: What is drawn of them already, boxes of the meshes of the base, the body
+            and each rolling body and what it rolls on, from their lowest to their
+            highest corner [m], or None: they come, too, where the motion leaves these.
 
     Returns:
         ``title``, ``note`` (why the run ended early), ``size`` (reach of the body from
@@ -154,7 +161,8 @@ def view_data(
     if not bool(trajectory.succeeded):
         reason = trajectory.reason.split(":")[0]
         note = f"stopped at {float(trajectory.final_time):.6g} s: {reason}"
-    known = _shapes(trajectory, motion) if shapes else {}
+    renewed = shapes or _leaves(motion, drawn)
+    known = _shapes(trajectory, motion) if renewed else {}
     return known | {
         "title": title,
         "note": note,
@@ -184,6 +192,23 @@ def _shapes(trajectory: Trajectory, motion: MotionSamples) -> dict[str, Any]:
         "rolling": [_rolling_data(own) for own in rolling_meshes(scene, motion, body)],
         "base": _base_data(trajectory, motion, size),
     }
+
+
+def _leaves(motion: MotionSamples, drawn: Sequence[Any]) -> bool:
+    """Whether bodies touch surfaces beyond what is drawn of them."""
+    touched = [motion.contact_on_base, motion.contact_on_body]
+    for k in range(motion.rolling.shape[1]):
+        touched += [
+            motion.rolling_column(k, name)
+            for name in ("contact_on_body", "contact_on_carrier")
+        ]
+    for places, box in zip(touched, drawn, strict=False):
+        if box is not None:
+            low, high = np.asarray(box, dtype=float)
+            slack = _SAG * np.max(high - low)
+            if (places < low - slack).any() or (places > high + slack).any():
+                return True
+    return False
 
 
 def _frames(motion: MotionSamples) -> dict[str, Any]:

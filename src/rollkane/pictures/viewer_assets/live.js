@@ -78,7 +78,7 @@ rollkane.Live = class {
       const answer = await fetch("run", {
         method: "POST",
         headers: { "Content-Type": "application/json" },
-        body: JSON.stringify({ values, shown: this.shown }),
+        body: JSON.stringify({ values, shown: this.shown, drawn: this.drawn() }),
       });
       const data = await answer.json();
       if (data.refused) this.tell(data.refused, true);
@@ -86,6 +86,13 @@ rollkane.Live = class {
     } catch {
       this.tell("the program behind this page has ended", true);
     }
+  }
+
+  // Boxes of the meshes that are on the page; null for those that have no edge.
+  drawn() {
+    const { base, body, rolling } = this.player.data;
+    const meshes = [base, body, ...rolling.flatMap((own) => [own.body, own.on])];
+    return meshes.map((mesh) => (mesh && mesh.low ? [mesh.low, mesh.high] : null));
   }
 
   take(data, values) {

@@ -213,8 +213,8 @@ rollkane.Stage = class {
     this.spacing = 0;
     if (data.base && data.base.plane) {
       this.spacing = rollkane.roundLength(0.15 * box.radius);
-      const { center, radius } = rollkane.reached(motion, box);
-      this.base.add(rollkane.ground(center, radius, this.spacing));
+      this.lay(rollkane.reached(motion, box));
+      this.reach(motion);
     } else if (data.base) {
       this.spacing = rollkane.roundLength(0.3 * box.radius);
       const geometry = rollkane.geometry(data.base);
@@ -250,6 +250,29 @@ rollkane.Stage = class {
     this.base.add(this.onBase.group);
     this.body.add(this.onBody.group);
     this.arrows.gravity = data.gravity;
+    if (this.laid) this.reach(motion);
+  }
+
+  // A plane base, around a place on it.
+  lay({ center, radius }) {
+    this.laid = { center, radius };
+    this.ground = rollkane.ground(center, radius, this.spacing);
+    this.base.add(this.ground);
+  }
+
+  // More of a plane base, where a motion comes to its faded edge.
+  reach(motion) {
+    const { center, radius } = this.laid;
+    let farthest = 0;
+    for (let k = 0; k < motion.count; k += 1) {
+      const [x, y] = motion.row("contact_on_base", k);
+      farthest = Math.max(farthest, Math.hypot(x - center[0], y - center[1]) || 0);
+    }
+    if (1.5 * farthest <= radius) return;
+    const { geometry, material } = this.ground;
+    this.base.remove(this.ground);
+    for (const part of [geometry, material.map, material.alphaMap, material]) part.dispose();
+    this.lay({ center, radius: 2 * farthest });
   }
 
   lights(eye) {
