@@ -213,6 +213,14 @@ def test_profiles(folder):
         assert least < at < most
 
 
+def test_profiles_of_another_loss_are_refused_before_the_search(folder):
+    """And before the record is read, which is not there."""
+    (folder / "run.csv").unlink()
+    result = fit_with(*COLUMNS, *FREE, "--profile", "--loss", "huber")
+    assert result.exit_code == 2
+    assert "--loss linear alone" in " ".join(result.output.split())
+
+
 def test_one_that_does_not_converge(folder):
     files = ("--max-evaluations", "1", "--json", "a.json")
     given = ("--sigma", "gyro=1e-6", "--gyro", "wx,wy,wz")

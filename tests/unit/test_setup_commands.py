@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import tomllib
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,6 +53,15 @@ def test_scenes_shows_a_file():
     unknown = run("scenes", "--show", "rattlebak")
     assert unknown.exit_code == 2
     assert "did you mean rattleback" in unknown.output
+
+
+def test_doctor_lists_every_extra_that_is_asked_for():
+    """Whose missing import anywhere says how to install it."""
+    asked = set()
+    for file in Path(str(resources.files("rollkane"))).rglob("*.py"):
+        asked |= set(re.findall(r"rollkane\[(\w+)\]", file.read_text()))
+    listed = set(json.loads(run("doctor", "--json").output)["extra"])
+    assert asked - listed <= {"compiler"}  # of which the loop tells
 
 
 def test_doctor_says_which_loop_runs_take(monkeypatch):

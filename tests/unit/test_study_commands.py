@@ -175,6 +175,18 @@ def test_bad_input_is_refused_and_leaves_nothing(folder, study, name, monkeypatc
     assert os.listdir(folder) == ["study.toml"]
 
 
+def test_a_cluster_that_nobody_runs(folder, study):
+    dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")
+    with dask.config.set({"distributed.comm.timeouts.connect": "50ms"}):
+        for address in ("tcp://127.0.0.1:1", "nothing://127.0.0.1:1"):
+            ran = run("monte-carlo", study, *SIZE, "--cluster", address)
+            assert ran.exit_code == 2
+            assert "cannot be reached" in ran.output
+            assert "mend the address" in ran.output
+            assert "None" not in ran.output
+
+
 def test_a_file_with_mistakes_is_refused(tmp_path):
     file = tmp_path / "s.toml"
     file.write_text(TEXT.replace('"position"', '"positron"').replace("0.14", '"x"'))

@@ -144,6 +144,8 @@ def fit(
     asked = {"json": json_file, "report": report, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, data, force=force)
+    if profile and options["loss"] != "linear":
+        refuse("--profile", "is of chi-square, and so of --loss linear alone")
     named = {name: _pairs(name, options[name]) for name in (*_NAMED, "channel")}
     start_jax()
     file = loaded(ctx, scene)

@@ -15,6 +15,7 @@ from .preparation import BAD_INPUT, start_jax
 _PACKAGES = ("jax", "jaxlib", "diffrax", "equinox", "numpy")
 _EXTRAS = {
     "plot": ("matplotlib",),
+    "film": ("PIL", "imageio_ffmpeg"),
     "results": ("xarray", "h5netcdf", "h5py"),
     "study": ("zarr", "scipy", "rich", "cloudpickle"),
     "cluster": ("distributed",),

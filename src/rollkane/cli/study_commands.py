@@ -189,8 +189,9 @@ def _run(
         refuse("--cluster", "cannot be given with --processes")
     given = {"seed": file.seed, "sampling": file.sampling, "block": file.block}
     options = {name: value for name, value in options.items() if value is not None}
+    target = f" {store}" if store else ""
     try:
-        with _progress(quiet) as progress, telling_of_files(f" {store}"):
+        with _progress(quiet) as progress, telling_of_files(target):
             return run(
                 file.study,
                 size,

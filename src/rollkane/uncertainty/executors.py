@@ -269,7 +269,14 @@ def _dask_client(given: str, blocks: Blocks, opened: ExitStack) -> Any:
         problem, remedy = "needs Dask", "pip install 'rollkane[cluster]'"
         raise FieldError("monte_carlo.executor", given, problem, remedy) from error
     if given != "dask":
-        client: Any = opened.enter_context(cast(Any, Client)(given))
+        try:
+            client: Any = opened.enter_context(cast(Any, Client)(given))
+        except (OSError, ValueError) as error:  # nobody answers, or no such protocol
+            problem, remedy = (
+                f"cannot be reached: {error}",
+                "start it, or mend the address",
+            )
+            raise FieldError("monte_carlo.executor", given, problem, remedy) from error
         blocks.workers = max(len(client.scheduler_info()["workers"]), 1)
         return client
     local: Any = cast(Any, LocalCluster)(
