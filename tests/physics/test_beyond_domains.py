@@ -1,4 +1,4 @@
-"""Flights over bases that go on beyond the domain in which they are searched."""
+"""Flights over bases that go on beyond their domain, and over the ends of others."""
 
 import jax
 import jax.numpy as jnp
@@ -62,3 +62,42 @@ def test_flights_land_beyond_the_domain(kind):
         np.testing.assert_allclose(first, wanted, rtol=0, atol=CLOSE)
         # it stays above, by how far its centre is along the normal
         assert end[2] - slope * end[0] > RADIUS
+
+
+def test_a_ball_is_released_beside_the_rim_of_a_disc():
+    """Over a rim the nearest point's normal is towards the ball; all were refused."""
+    scene = rk.Scene(BALL, rk.Base(rk.DiscEdge(0.2)))
+    for aside, height in ((0.2, 0.0), (0.05, 0.2), (0.1, 0.03)):
+        place = (0.2 + aside, 0.0, height)
+        found = rk.release(scene, LEVEL, STILL, place, STILL).contact_on_base
+        wanted = np.array([aside, 0.0, height]) / np.hypot(aside, height)
+        # ten roundings of a direction
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-15)
+
+
+CUP = rk.Revolution(
+    lambda s: (0.7 * jnp.sin(s), 0.7 * (1.0 - jnp.cos(s))),
+    domain=(0.0, 1.2),
+    inside=True,
+)
+
+
+@pytest.mark.parametrize(
+    ("base", "place", "velocity", "end"),
+    [
+        # over the face of a solid disc no point has a normal towards the ball
+        (rk.DiscEdge(0.2), (0.21, 0.0, 0.1), (-0.5, 0.0, 0.0), 0.02),
+        # out of a cup, past its rim
+        (CUP, (0.5, 0.0, 0.8), (1.5, 0.0, 0.5), None),
+    ],
+)
+def test_flights_end_where_their_base_does(base, place, velocity, end):
+    """They were said to be stuck in a singular place."""
+    scene = rk.Scene(BALL, rk.Base(base))
+    start = rk.release(scene, LEVEL, STILL, place, velocity)
+    modes = rk.Modes(friction=0.4, restitution=0.6)
+    run = rk.simulate(scene, start, [0.0, 1.0], modes=modes)
+    assert run.code == rk.Code.SURFACE_EDGE
+    assert int(run.switches.count) == 0
+    if end is not None:
+        np.testing.assert_allclose(run.final_time, end, rtol=0, atol=CLOSE)

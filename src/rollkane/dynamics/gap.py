@@ -101,8 +101,8 @@ def release(
         r,
         ~apart,
         "release.position",
-        "is in the base, or the search for the nearest point of it failed",
-        "let the body go above the base, or give near_on_base",
+        "is in the base, over the flat of a disc, or too far to find the nearest point",
+        "let the body go above the base's surface, or give near_on_base",
     )
     # a place that is refused has no nearest points, and is what a run then names
     on_base, on_body = (jnp.where(apart, x, 0.0) for x in (on_base, on_body))
@@ -132,8 +132,8 @@ def _places_below(
         on_body = body.locate(-matvec_transposed(rotation_matrix(e), axis))
     still = jnp.zeros_like(r)
     state = FlyingState(e, still, on_base, on_body, none, none, r, still)
-    if base.is_edge or body.is_edge:
-        state = begun_at(scene, t, state, near)
+    if base.is_edge or body.is_edge:  # towards the base: the body's origin has no place
+        state = begun_at(scene, t, state, base.point(on_base))
     if may_touch_twice(scene):
         gap, state = nearest_anywhere(scene, t, state)
     else:  # it may be far

@@ -43,6 +43,10 @@ NEWTON = 16
 # rounding does not let it
 _CLOSE = 64
 
+# How near to an end a flight that cannot go on is stuck, of lengths of one: the steps
+# of its clock are far shorter
+_PAST = 1e-9
+
 # Coordinates of the nearest points on base and body.
 Places: TypeAlias = tuple[Array, Array]
 # Steps taken, the points, and what was left before the last step and the gap there [m].
@@ -216,6 +220,35 @@ def begun_at(
     if not scene.has_contact_coordinates:
         on_body = state.contact_on_body
     return eqx.tree_at(places_of, state, (on_base, on_body))
+
+
+def may_pass_an_end(scene: Scene) -> bool:
+    """Whether a body may fly where its base has an end, or a flat without normals."""
+    base = scene.base.surface
+    like = jax.ShapeDtypeStruct((base.coordinate_count,), float)
+    return base.has_face or jax.eval_shape(base.extent, like) is not None
+
+
+def passes_an_end(scene: Scene, t: Float[Array, ""], state: FlyingState) -> Array:
+    """Whether the nearest points have come to an end of the base, or over its flat.
+
+    Args:
+        scene: One of which :func:`may_pass_an_end` is true.
+        t: Time [s].
+        state: With its nearest points.
+    """
+    base = scene.base.surface
+    _, origin, to_base = flying_pose(scene, t, state)
+    ground = base.geometry(state.contact_on_base)
+    shell = _body_geometry(scene, state, ground, to_base)
+    left = base.extent(state.contact_on_base)
+    if left is not None:
+        return left <= at_precision(_PAST, left)
+    over = base.face_extent(origin + matvec(to_base, shell.position))
+    rim = base.face_extent(jnp.zeros_like(origin))
+    assert over is not None
+    assert rim is not None
+    return over >= -at_precision(_PAST, over) * rim
 
 
 def places_of(state: FlyingState) -> Places:

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..dynamics.clearance import may_touch_twice
 from ..dynamics.gap import closing
@@ -64,11 +64,7 @@ def doubt_in_flight(
     gaps = jnp.stack([gap, end.values[0]])
     turns = may_touch_twice(scene)
 
-    def speeds(t: Float[Array, ""], y: HybridState) -> Float[Array, ""]:
-        _, v, spin = closing(scene, t, y.flying())
-        return v + spin * reach
-
-    fastest = _SLACK * jnp.maximum(speeds(at.t, at.y), speeds(t1, end.y))
+    fastest = _fastest(scene, at, t1, end, reach)
     share = _TRUST if turns else 1.0
     apart = share * jnp.sum(gaps) > fastest * h
     inside = lambda: _inside(scene, nodes, at, h, end, gaps, reach)
@@ -87,6 +83,40 @@ def doubt_in_flight(
     shorter = jnp.where(doubt.hides, jnp.minimum(doubt.share, limit), limit)
     following = jnp.maximum(gaps[1], least) / fastest
     return Doubt(doubt.hides | (limit < 0.99), shorter, following)
+
+
+def closes_as_it_may(
+    scene: Scene,
+    at: Place,
+    t1: Float[Array, ""],
+    end: Step,
+    before: Float[Array, ""],
+    reach: Float[Array, ""],
+) -> Bool[Array, ""]:
+    """Whether the gap fell by no more than the body moved: else it is another's.
+
+    Over the flat of a disc no point of its rim is the nearest, and the search ends at
+    one on the far side, of a gap less than zero. Arguments: as above.
+    """
+    gap = jnp.where(before > 0.0, before, 0.0)
+    moved = _fastest(scene, at, t1, end, reach) * (t1 - at.t)
+    return ~(end.values[0] < gap - moved - rounding(end.y, reach))
+
+
+def _fastest(
+    scene: Scene,
+    at: Place,
+    t1: Float[Array, ""],
+    end: Step,
+    reach: Float[Array, ""],
+) -> Float[Array, ""]:
+    """How fast a point of the body may move over its base in a step, by its ends."""
+
+    def speed(t: Float[Array, ""], y: HybridState) -> Float[Array, ""]:
+        _, v, spin = closing(scene, t, y.flying())
+        return v + spin * reach
+
+    return _SLACK * jnp.maximum(speed(at.t, at.y), speed(t1, end.y))
 
 
 def rounding(y: HybridState, reach: Float[Array, ""]) -> Float[Array, ""]:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.clearance import code_of_touch, may_touch_twice
+from ..dynamics.nearest_points import may_pass_an_end, passes_an_end
 from ..dynamics.precision import at_precision
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges
@@ -92,6 +93,9 @@ def _explained(
     if has_edges(scene):
         at_end = at_an_edge(scene, place.t, place.y.rolling())
         code = jnp.where(stuck & touches & at_end, Code.SURFACE_EDGE, code)
+    if may_pass_an_end(scene):
+        past = passes_an_end(scene, place.t, place.y.flying())
+        code = jnp.where(stuck & ~touches & past, Code.SURFACE_EDGE, code)
     if mu is not None:
         slides = slipping(scene, mu, place.direction, place.y)
         margin = painleve_margin(slides, place.t, place.y.sliding())

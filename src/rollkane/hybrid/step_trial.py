@@ -24,7 +24,7 @@ from ..integration.step_control import AboveRounding, Landings
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import Doubt, between, rate_at_end, stays_positive
 from .event_location import STAYS, Bracket
-from .flight_bounds import doubt_in_flight, rounding
+from .flight_bounds import closes_as_it_may, doubt_in_flight, rounding
 from .mode_rates import Step
 from .mode_replay import Path, Place, Record
 from .modes import HybridState, Mode, as_it_is
@@ -238,7 +238,7 @@ class Trials(eqx.Module):
         tiny = 4.0 * np.finfo(self.times.dtype).eps * (1.0 + jnp.abs(c.place.t))
         share = self.shares(c, tried.end.values)
         least = jnp.min(share)
-        size = jnp.where(self.stands(c.place, tried), size, jnp.inf)
+        size = jnp.where(self.stands(c, tried), size, jnp.inf)
         known = jnp.isfinite(least)
         # an output right behind an event: nothing can happen, or be seen, between
         fresh, looks = jnp.isnan(c.values[0]), c.looks
@@ -369,11 +369,12 @@ class Trials(eqx.Module):
         settles = longest_step(c.place, c.values[0], tried.t, tried.end)
         return jnp.where(event, step, jnp.minimum(step, settles))
 
-    def stands(self, at: Place, tried: Tried) -> Array:
+    def stands(self, c: Run, tried: Tried) -> Array:
         """Whether no normal passed where its contact jumps, nor the body its base.
 
         Nor a slip that begins what it begins as.
         """
+        at, reach = c.place, self.reach
         scene, stands = self.motion.scenes.rolling, is_as_it_began(at, tried.end)
         y = tried.end.y
         if watches_headings(scene):
@@ -381,6 +382,10 @@ class Trials(eqx.Module):
             for a, b in zip(*ends, strict=True):
                 stands &= dot(a, b) > least_product(self.rtol)
             stands |= at.mode == Mode.FLYING
+        if reach is not None and scene.base.surface.has_face:
+            flight = at, tried.t, tried.end, c.values[0], reach
+            near = closes_as_it_may(self.motion.scenes.flying, *flight)
+            stands &= near | (at.mode != Mode.FLYING)
         if self.allowed is None:
             return stands
         return stands & as_it_is(self.allowed, scene, tried.t, at.mode, y)
