@@ -557,3 +557,44 @@ def test_auxiliary_speeds_are_zero():
         kane.kane_equations(system, 0.4, q, jnp.array([1.1, 0.5, 0.3]))
     with pytest.raises(FieldError, match=r"kane_equations.u: must have shape \(2,\)"):
         kane.kane_equations(system, 0.4, q, jnp.array([1.1]))
+
+
+def particle(**given):
+    """A particle along x, of one coordinate and one speed."""
+    along = lambda t, q, u: [u[0], 0.0, 0.0]
+    arguments = {"coordinates": 1, "speeds": 1, "kinematics": lambda t, q, u: u}
+    arguments["parts"] = [kane.Particle(1.0, along)]
+    return kane.KaneSystem(**(arguments | given))
+
+
+UNFIT = {
+    "parts": kane.Particle(1.0, plane),
+    "loads": kane.Load(plane, weight),
+    "dependent": 0,
+    "dependent_coordinates": 1,
+    "coordinates": 1.0,
+    "speeds": 0,
+    "auxiliary": -1,
+}
+
+
+@pytest.mark.parametrize("name", UNFIT)
+def test_arguments_of_another_kind_are_refused_by_name(name):
+    with pytest.raises(FieldError, match=rf"^KaneSystem\.{name}: must be"):
+        particle(**{name: UNFIT[name]})
+
+
+def test_states_of_another_kind_are_refused_by_linearize():
+    one, two = jnp.zeros(1), jnp.zeros(2)
+    for state, field in (
+        ((one, one), "state"),
+        (kane.KaneState(two, one), r"state\.q"),
+        (kane.KaneState(one * jnp.nan, one), "state"),
+    ):
+        with pytest.raises(FieldError, match=rf"^linearize\.{field}: must"):
+            kane.linearize(particle(), 0.0, state)
+
+
+def test_one_mass_is_not_several():
+    with pytest.raises(FieldError, match=r"^free_bodies\.masses: must be several"):
+        kane.free_bodies(1.0, [np.eye(3)])

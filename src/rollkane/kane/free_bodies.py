@@ -13,7 +13,7 @@ from ..geometry.rotations import quaternion_rates, rotation_matrix
 from ..validation.checks import FieldError, is_traced, real
 from .contact_system import Frame
 from .parts import Load, RigidBody
-from .system import KaneSystem
+from .system import KaneSystem, in_a_row
 
 
 class FreeBodies(NamedTuple):
@@ -46,6 +46,8 @@ def free_bodies(
         FieldError: another number of inertias than of masses; what ``KaneSystem``
             raises.
     """
+    masses = in_a_row("free_bodies.masses", masses)
+    inertias = in_a_row("free_bodies.inertias", inertias)
     if len(masses) != len(inertias):
         raise FieldError(
             "free_bodies.inertias",

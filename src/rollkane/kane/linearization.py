@@ -16,7 +16,7 @@ from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
 from .equations import Reduced, reduced
 from .singular_states import Examined, examined, refuse
-from .system import KaneState, KaneSystem
+from .system import KaneState, KaneSystem, checked_state
 
 # By places and inputs; the rates themselves, and the equations that they come from.
 _Derivatives: TypeAlias = tuple[tuple[Array, Array], tuple[Array, Reduced]]
@@ -63,7 +63,8 @@ def linearize(
             entries of the parameters (``lambda p: (p["k"], p["F"])``); left out, none.
 
     Raises:
-        FieldError: dependent ones among the chosen, or inputs without parameters or
+        FieldError: a state of another shape, or not finite; dependent ones among the
+            chosen, or inputs without parameters or
             that are none of them; what
             ``simulate`` refuses of a start; dependent coordinates that the
             configuration does not determine; constraints by multipliers. Nothing is
@@ -80,7 +81,11 @@ def linearize(
             "chosen as dependent",
             "name dependent speeds (of rolling contacts: RollingSystem.eliminated)",
         )
+    state = checked_state("linearize.state", system, state)
     known = not is_traced(system, t, state)
+    if known and not all(np.isfinite(x).all() for x in (state.q, state.u)):
+        problem, remedy = "must be finite", "give a state that the motion can have"
+        raise FieldError("linearize.state", state, problem, remedy)
     # by JAX a known time could be traced
     when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
     t = cast(Array, when)

@@ -18,7 +18,7 @@ from ..integration.plans import Problem
 from ..integration.prepared import prepared
 from ..integration.projection import KeepingEnergy
 from ..kinematics.base_motion import BESIDE_JUMPS
-from ..validation.checks import FieldError, is_traced, real_numbers
+from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import kept_state, kept_well
 from .dependent_speeds import on_its_side, undetermined, with_as_many_numbers
@@ -31,7 +31,7 @@ from .equations import (
 )
 from .implied_rows import lost
 from .singular_states import refuse_start
-from .system import KaneState, KaneSystem
+from .system import KaneState, KaneSystem, checked_state
 
 
 class KaneTrajectory(eqx.Module):
@@ -176,7 +176,7 @@ def simulate(
         "progress_meter": progress_meter is not None,
     }
     refusal = without_native(solver, given)
-    start = _checked_start(system, start)
+    start = checked_state("simulate.start", system, start)
     dtype = start.q.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
@@ -304,33 +304,6 @@ def _known_system(system: object) -> KaneSystem:
     remedy = "integrate it by rollkane.simulate" if scene else "give a KaneSystem"
     problem = f"must be a KaneSystem, not a {kind}"
     raise FieldError("simulate.system", f"a {kind}", problem, remedy)
-
-
-def _checked_start(system: KaneSystem, start: object) -> KaneState:
-    if not isinstance(start, KaneState):
-        raise FieldError(
-            "simulate.start", start, "must be a KaneState", "give KaneState(q, u)"
-        )
-    given = {"q": start.q, "u": start.u}
-    checked = {
-        name: real_numbers(f"simulate.start.{name}", x, "give floats")
-        for name, x in given.items()
-    }
-    # a known array of JAX's stays one in the middle of a trace
-    q, u = (
-        jnp.asarray(x if eqx.is_array(x) else checked[name], float)
-        for name, x in given.items()
-    )
-    wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
-    for name, array in (("q", q), ("u", u)):
-        if array.shape != wanted[name]:
-            raise FieldError(
-                f"simulate.start.{name}",
-                array.shape,
-                f"must have shape {wanted[name]}",
-                "give every coordinate, and the independent speeds alone",
-            )
-    return KaneState(q, u)
 
 
 @for_one_call

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError, checked_kinks
+from ..validation.checks import FieldError, checked_kinks, real_numbers, whole
 from ..validation.user_functions import GivenFunction, as_floats, numbers_of
 from .parts import Load, Particle, RigidBody, Wrap, checked_load, checked_part
 
@@ -115,8 +115,8 @@ class KaneSystem(eqx.Module):
             dependent: Numbers of the speeds that the constraints determine, as many as
                 there are constraints. None: none are chosen, and the constraints act
                 by multipliers, so that a motion may pass where a choice would fail; the
-                state then has all speeds, and the nearest that the constraints allow
-                (by their energy) are taken.
+                state then has all speeds, of a start the nearest (by their energy) that
+                the constraints allow.
             configuration: ``configuration(t, q, u)`` -> what has to be zero, without
                 using u; its rate must be among the constraints. ``simulate`` and
                 ``linearize`` see to both.
@@ -149,8 +149,8 @@ class KaneSystem(eqx.Module):
                 masses or inertias that no body can have, a configuration that looks at
                 the speeds.
         """
-        self.coordinates, self.speeds = coordinates, speeds
-        self.auxiliary = auxiliary
+        sizes = _counts(coordinates=coordinates, speeds=speeds, auxiliary=auxiliary)
+        self.coordinates, self.speeds, self.auxiliary = sizes
         self.parameters = as_floats(parameters)
         self.kinks, self.side = checked_kinks("KaneSystem.kinks", kinks), None
         example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
@@ -168,18 +168,18 @@ class KaneSystem(eqx.Module):
         self.kinematics = motion("KaneSystem.kinematics", kinematics, (coordinates,))
         self.parts = tuple(
             checked_part(f"KaneSystem.parts[{k}]", part, motion, self.parameters)
-            for k, part in enumerate(parts)
+            for k, part in enumerate(in_a_row("KaneSystem.parts", parts))
         )
         self.loads = tuple(
             checked_load(f"KaneSystem.loads[{k}]", load, motion)
-            for k, load in enumerate(loads)
+            for k, load in enumerate(in_a_row("KaneSystem.loads", loads))
         )
         self.generalized_forces = None
         if generalized_forces is not None:
             field, size = "KaneSystem.generalized_forces", example[2].shape
             self.generalized_forces = motion(field, generalized_forces, size)
         self.by_multipliers = dependent is None
-        self.dependent = _chosen("dependent", dependent or (), speeds)
+        self.dependent = _chosen("dependent", dependent, speeds)
         if constraints is not None and self.by_multipliers:
             self.constraints = GivenFunction(
                 *("KaneSystem.constraints", constraints, None, example, more),
@@ -258,9 +258,63 @@ class KaneState(eqx.Module):
     u: Float[Array, " m"]
 
 
-def _chosen(name: str, numbers: Iterable[int], count: int) -> tuple[int, ...]:
-    """Different numbers of speeds or coordinates."""
-    chosen = tuple(int(k) for k in numbers)
+def in_a_row(field: str, given: Any) -> tuple[Any, ...]:
+    """Several, as a tuple.
+
+    Raises:
+        FieldError: it is one, and not in a row.
+    """
+    try:
+        return tuple(given)
+    except TypeError as error:
+        name = field.rpartition(".")[2]
+        problem, remedy = "must be several in a row", f"give a list, {name}=[...]"
+        raise FieldError(field, given, problem, remedy) from error
+
+
+def checked_state(field: str, system: KaneSystem, state: object) -> KaneState:
+    """A state of a system.
+
+    Raises:
+        FieldError: another kind of value, or of another shape.
+    """
+    if not isinstance(state, KaneState):
+        problem, remedy = "must be a KaneState", "give KaneState(q, u)"
+        raise FieldError(field, state, problem, remedy)
+    given = {"q": state.q, "u": state.u}
+    checked = {
+        name: real_numbers(f"{field}.{name}", x, "give floats")
+        for name, x in given.items()
+    }
+    # a known array of JAX's stays one in the middle of a trace
+    q, u = (
+        jnp.asarray(x if eqx.is_array(x) else checked[name], float)
+        for name, x in given.items()
+    )
+    wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
+    for name, array in (("q", q), ("u", u)):
+        if array.shape != wanted[name]:
+            raise FieldError(
+                f"{field}.{name}",
+                array.shape,
+                f"must have shape {wanted[name]}",
+                "give every coordinate, and the independent speeds alone",
+            )
+    return KaneState(q, u)
+
+
+def _counts(**given: Any) -> tuple[int, ...]:
+    """How many of each there are: of speeds one at least."""
+    return tuple(
+        whole(f"KaneSystem.{name}", count, int(name == "speeds"), "say how many")
+        for name, count in given.items()
+    )
+
+
+def _chosen(name: str, numbers: Iterable[int] | None, count: int) -> tuple[int, ...]:
+    """Different numbers of speeds or coordinates; None: none."""
+    numbers = () if numbers is None else numbers
+    chosen = tuple(int(k) for k in in_a_row(f"KaneSystem.{name}", numbers))
     if len(set(chosen)) != len(chosen) or not all(0 <= k < count for k in chosen):
         raise FieldError(
             f"KaneSystem.{name}",
