@@ -111,7 +111,8 @@ def simulate(
         second_contact: Whether the run ends, with ``Code.SECOND_CONTACT``, where the
             body reaches its base at a second place. That is looked for after each step,
             on samples of both surfaces (:mod:`rollkane.dynamics.clearance`), by
-            diffrax's loop: a tenth to a few milliseconds a step.
+            diffrax's loop, with ``modes`` in C: a tenth to a few milliseconds a step,
+            tens where both surfaces are searched.
         events: Events, or ready ones by their names (``"lift-off"``): steps end on
             them, and the result's ``events`` shows them. With them
             ``stepsize_controller``, ``adjoint`` and ``saveat`` cannot be chosen.
