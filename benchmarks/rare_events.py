@@ -49,7 +49,7 @@ def curved(beta, bend):
 
 def problems():
     """By name: model, output, threshold, whether below, probability."""
-    hump = Hump()
+    hump, turned = Hump(), {"q": rk.UniformOrientation()}
     found = {
         "ball on a hump": (hump, "pressed", 0.0, True, hump.probability()),
         "two sides, 2 numbers": (
@@ -63,6 +63,11 @@ def problems():
         "all around, 3 numbers": (
             *(normal_model(lambda z: z @ z, 3), "value", 30.0, False),
             chi2.sf(30.0, 3),
+        ),
+        "a given orientation to 0.02 rad": (
+            rk.FunctionModel(lambda drawn: drawn["q"][0] ** 2, turned),
+            *("value", np.cos(0.01) ** 2, False),
+            (0.02 - np.sin(0.02)) / np.pi,  # Haar's measure of smaller angles
         ),
     }
     for count in (1, 10, 50, 100):

@@ -252,6 +252,21 @@ def test_orientations_are_uniform():
     assert all(distance(R[:, i, j], even) < KOLMOGOROV for i, j in np.ndindex(3, 3))
 
 
+def test_orientations_are_directions_of_normal_numbers():
+    """Of the same four that rare events are searched in, and none where these have no
+    direction; one program may fuse what others round."""
+    draw = rk.UniformOrientation().draw
+    z = np.array([0.3, -1.2, 2.0, 0.1])
+    np.testing.assert_allclose(
+        draw(scipy.stats.norm.cdf(z)), z / np.linalg.norm(z), rtol=0, atol=16 * EPS
+    )
+    middle = jnp.full(4, 0.5)
+    np.testing.assert_array_equal(draw(middle), [1.0, 0.0, 0.0, 0.0])
+    assert np.isfinite(jax.jacobian(draw)(middle)).all()
+    ends = draw(jnp.array([0.0, 1.0, 0.5, 0.5]))
+    assert abs(float(ends @ ends) - 1.0) < 4 * EPS
+
+
 @pytest.mark.parametrize("k", [0.0, 1e-8, 0.3, 1.0, 30.0, 1e8])
 def test_directions_have_fishers_distribution(k):
     m = np.array([1.0, 2.0, -3.0]) / np.sqrt(14.0)
@@ -537,13 +552,13 @@ def study():
 
 def test_draws_by_name():
     draws = study()
-    assert draws.dimension == 8
+    assert draws.dimension == 9
     assert draws.names == ("spin", "orientation", "pair", "mass")
     assert draws.labels == ("spin[0]", "spin[1]", "orientation", "pair", "mass")
     assert draws.columns("spin") == slice(0, 2)
     assert draws.columns("spin[1]") == slice(1, 2)
-    assert draws.columns("orientation") == slice(2, 5)
-    u = uniforms(8, count=1)[0]
+    assert draws.columns("orientation") == slice(2, 6)
+    u = uniforms(9, count=1)[0]
     # through JAX's containers, which sort dictionaries
     again = jax.tree.map(lambda x: x, draws)
     found, same = draws.draw(u), jax.jit(lambda d, u: d.draw(u))(again, u)
@@ -560,8 +575,8 @@ def test_draws_by_name():
 
 def test_single_precision():
     draws = study()
-    found = flat(at(draws, uniforms(8, count=16).astype(np.float32)))
-    exact = flat(at(draws, uniforms(8, count=16)))
+    found = flat(at(draws, uniforms(9, count=16).astype(np.float32)))
+    exact = flat(at(draws, uniforms(9, count=16)))
     for name, value in found.items():
         assert value.dtype == np.float32
         # u is rounded by 6e-8, quantiles of a unit deviation rise by up to 100 at the

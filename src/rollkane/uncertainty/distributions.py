@@ -273,7 +273,7 @@ class UniformOrientation(AbstractDistribution):
 
     Draws unit quaternions, scalar first, body to fixed axes [1].
 
-    Source: Shoemake, Uniform random rotations, Graphics Gems III (1992).
+    Source: Muller, Comm. ACM 2 (1959): normal numbers have no direction of their own.
     """
 
     @property
@@ -283,22 +283,19 @@ class UniformOrientation(AbstractDistribution):
 
     @property
     def size(self) -> int:
-        """Three uniform numbers."""
-        return 3
+        """Four uniform numbers."""
+        return 4
 
-    def draw(self, u: Float[Array, "3"]) -> Float[Array, "4"]:
-        """A unit quaternion: two circles, whose radii share the square of one."""
-        u = inside(u)
-        first, second = jnp.sqrt(1.0 - u[0]), jnp.sqrt(u[0])
-        a, b = 2.0 * jnp.pi * u[1], 2.0 * jnp.pi * u[2]
-        return jnp.stack(
-            [
-                second * jnp.cos(b),
-                first * jnp.sin(a),
-                first * jnp.cos(a),
-                second * jnp.sin(b),
-            ]
-        )
+    def draw(self, u: Float[Array, "4"]) -> Float[Array, "4"]:
+        """The direction of four normal numbers, each the quantile of its own ``u``.
+
+        Orientations near a given one are two round cones of these numbers, q and -q,
+        which a search for rare events can follow; angles would cut them.
+        """
+        z = ndtri(inside(u))
+        # the middle of all four has no direction: no turn
+        z = jnp.where(jnp.all(z == 0.0), jnp.eye(4, dtype=z.dtype)[0], z)
+        return z / jnp.sqrt(z @ z)
 
     def spec(self) -> dict[str, Any]:
         """Kind."""

@@ -21,6 +21,7 @@ _SWEEPS = 200
 _ENOUGH = 1e-6  # growth of the mean log-likelihood with which sweeps end
 _CLEAR = 1.3  # times as far from 1 as chance brings eigenvalues
 _STARTS = 3  # of each number of components
+_THINNEST = 1e-12  # variance of a part over its largest, which roundings leave [1]
 
 
 class Mixture(NamedTuple):
@@ -175,15 +176,20 @@ def _moments(
     """Weights, means and covariances of parts.
 
     Covariances are drawn to that of the standard normal density as far as samples are
-    few for so many numbers: directions that do not matter have it.
+    few for so many numbers: directions that do not matter have it. Logarithms of their
+    eigenvalues are, as a thin part of the event would be lost in a mean of variances.
     """
     size = z.shape[1]
     mass = np.maximum(weights @ near, 1e-12)
     centres = (weights[:, None] * near).T @ z / mass[:, None]
     scales = np.empty((len(mass), size, size))
     for k in range(len(mass)):
-        around = z - centres[k]
-        cover = (around * (weights * near[:, k])[:, None]).T @ around / mass[k]
-        drawn = size / (size + effective * mass[k])
-        scales[k] = (1.0 - drawn) * cover + drawn * np.eye(size)
+        around, own = z - centres[k], weights * near[:, k]
+        values, vectors = np.linalg.eigh((around * own[:, None]).T @ around / mass[k])
+        # a few samples of large weight are no more than a few
+        worth = min(effective * mass[k], mass[k] ** 2 / max((own**2).sum(), 1e-24))
+        kept = max(1.0 - size / worth, 0.0)
+        least = _THINNEST * max(values[-1], _THINNEST)  # also of samples all the same
+        values = np.maximum(values, least) ** kept
+        scales[k] = (vectors * values) @ vectors.T
     return Mixture(mass / mass.sum(), centres, scales, np.eye(size))
