@@ -10,6 +10,7 @@ import rollkane as rk
 from rollkane.uncertainty.distributions import Normal, Uniform, UniformOrientation
 from rollkane.uncertainty.evaluation import FunctionModel
 from rollkane.uncertainty.sobol_estimates import Design, bound_sums, index_bounds
+from rollkane.uncertainty.sobol_few_hits import with_few_hits
 
 from ..model_failures import Failing
 from ..rolling_models import Inclined
@@ -146,6 +147,66 @@ def test_failures_are_said_loudly():
     assert "could be" in text
     assert "max_steps" in text  # what code 1 says
     assert "WARNING" not in str(rk.sobol_indices(MODEL, 64))
+
+
+EVENT = FunctionModel(
+    lambda drawn: (drawn["x"] > 0.9) & (drawn["y"] > 0.8),
+    {name: Uniform(0.0, 1.0) for name in "xyz"},
+)
+# of two independent conditions of probabilities a = 0.1 and b = 0.2, P = a b: the
+# variances of b [x > 0.9] and of a [y > 0.8] over P (1 - P), and 1 less the other's
+EVENT_FIRST = np.array([0.2 * 0.9, 0.1 * 0.8, 0.0]) / 0.98
+EVENT_TOTAL = np.array([0.9, 0.8, 0.0]) / 0.98
+
+
+@pytest.mark.parametrize("sampling", ["sobol", "plain"])
+@pytest.mark.parametrize("size", [512, 2048])
+def test_intervals_of_an_event_of_few_percent_cover(sampling, size):
+    """Of 1 and of 4 rows in which both of y's pair are the event, on average.
+
+    Of 40 intervals of 95 % 38 are expected; 3 deviations of a binomial number are 4.1.
+    """
+    how = {"sampling": sampling, "resamples": 200}
+    found = [rk.sobol_indices(EVENT, size, seed=s, **how) for s in range(40)]
+    hits = sum(inside(one, EVENT_FIRST, EVENT_TOTAL) for one in found)
+    assert (hits >= 34).all()
+    first = np.array([one.first["value"] for one in found])
+    # what changes nothing: the product of two numbers that are small at random
+    assert abs(first[:, 2]).max() < 1e-2
+    # at least 20 events of each sample of 2048 rows: its index to 4 deviations
+    upper = np.array([one.first_interval["value"][1, 2] for one in found])
+    assert (upper < 0.5 * 512 / size).all()
+
+
+def test_what_no_row_shows_may_be_all_the_same():
+    """A factor that changed none of 500 events; of none, 3.84 of n might have been."""
+    rng = np.random.default_rng(3)
+    one, other = (rng.random((2, 500, 1)) < 0.05).astype(float)
+    design = Design(one, other, one[:, None])
+    p = design.every().mean()
+    resampled = {kind: np.zeros((2, 1, 1)) for kind in ("first", "total")}
+    ends = with_few_hits(design, resampled, 0.95)
+    assert (ends["total"][0] == 0.0).all()
+    # 3.84 is rounded, and a limit of large n
+    expected = 3.84 / 500 / (2.0 * p * (1.0 - p))
+    assert ends["total"][1, 0, 0] == pytest.approx(expected, rel=0.01)
+    assert 0.0 < ends["first"][1, 0, 0] <= ends["total"][1, 0, 0]
+    # an output of many values says how much it varies
+    many = Design(*(x + 1e-3 * rng.random(x.shape) for x in design))
+    kept = with_few_hits(many, resampled, 0.95)
+    assert all((x == 0.0).all() for x in kept.values())
+
+
+def test_bounds_of_an_event_hold_its_intervals():
+    found = rk.sobol_indices(Failing(EVENT, 1e-3), 512)
+    assert found.dropped["value"] > 0
+    for ends, bounds in (
+        (found.first_interval, found.first_bounds),
+        (found.total_interval, found.total_bounds),
+    ):
+        low, high = np.clip(ends["value"], 0.0, 1.0)
+        assert (bounds["value"][0] <= low).all()
+        assert (high <= bounds["value"][1]).all()
 
 
 def test_bounds_hold_where_failing_depends_on_what_is_drawn():

@@ -99,6 +99,15 @@ def _student_expansion(z: float, freedom: int) -> float:
     return z + sum(term / freedom ** (k + 1) for k, term in enumerate(terms))
 
 
+def few_hits(hits: Any) -> np.ndarray:
+    """Whether so many hits are few: sums of them are far from normal.
+
+    Args:
+        hits: How many, any shape.
+    """
+    return np.asarray(hits) <= _FEW
+
+
 def probability_interval(
     hits: Any, count: Any, level: float
 ) -> tuple[np.ndarray, np.ndarray]:

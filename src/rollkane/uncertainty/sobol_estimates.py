@@ -5,10 +5,12 @@ the columns of one factor from B, twice ``1 - S`` and twice ``T`` are the mean s
 of ``f_B - f_C`` and of ``f_A - f_C`` over the variance (Jansen, Comput. Phys. Commun.
 117, 1999). First-order indices divide by the variance of the pair itself, which no
 estimator from such pairs beats (Janon, Klein, Lagnoux, Nodet and Prieur, ESAIM: P&S 18,
-2014), and subtract a multiple of the mean of ``f_A f_B``, which is known to be that of
-independent numbers; a multiple of 1 is what makes Saltelli's estimator (Comput. Phys.
-Commun. 181, 2010) good for small indices and bad for large ones, and the multiple here
-is that of least variance. Total indices divide by the variance of all outputs of a row.
+2014), and subtract a multiple of the covariance of ``f_A`` and ``f_B``, which is known
+to be zero; a multiple of 1 is what makes Saltelli's estimator (Comput. Phys. Commun.
+181, 2010) good for small indices and bad for large ones, and the multiple here is that
+of least variance. Both are without their means, so that a factor that changes nothing
+has the index 0, not what is left of means. Total indices divide by the variance of all
+outputs of a row.
 """
 
 from typing import NamedTuple
@@ -16,6 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .resampling import Sums, sum_by_unit
+
+_SWEEPS = 3  # after which an index and its control agree
 
 
 class Design(NamedTuple):
@@ -73,13 +77,14 @@ def index_sums(design: Design, units: np.ndarray) -> dict[str, np.ndarray]:
         By name, shapes (G, ...).
     """
     a, b, c = design.a[:, None], design.b[:, None], design.c
-    product = np.broadcast_to(_control(design)[None] * (a * b), c.shape)
-    every = design.every()
+    control, every = _control(design)[None], design.every()
     rows = {
         "count": np.ones((len(a), 1, 1)),
-        "first": 0.5 * (b - c) ** 2 + product,
+        "first": b * c - control * (a * b),
+        "left": np.broadcast_to(1.0 - control, c.shape),
         "total": 0.5 * (a - c) ** 2,
-        "pair": 0.5 * (b + c),
+        "apart": 0.5 * (a + b),
+        "moved": 0.5 * (c - a),
         "pair_square": 0.5 * (b * b + c * c),
         "every": every.mean(axis=1, keepdims=True),
         "every_square": (every * every).mean(axis=1, keepdims=True),
@@ -91,15 +96,20 @@ def _control(design: Design) -> np.ndarray:
     """Multiple of ``f_A f_B`` of least variance, shape (k, E).
 
     By regression of what the first-order estimator is linearly, ``b c - S (b^2 +
-    c^2)/2``, on the product. The product's mean would be 0 were the means of a and b:
-    they are those of standardized outputs, 0 to the sample's error.
+    c^2)/2``, on the product. S is the index that the multiple itself gives, and within
+    its range: with few events a product by itself would say more than it knows.
     """
     a, b, c = design.a[:, None], design.b[:, None], design.c
-    square = 0.5 * (b * b + c * c)
-    index = (b * c).mean(axis=0) / square.mean(axis=0)
-    linear = b * c - index * square
-    product = a * b - (a * b).mean(axis=0)
-    return (linear * product).mean(axis=0) / (product**2).mean(axis=0)
+    square, both = 0.5 * (b * b + c * c), a * b
+    product = both - both.mean(axis=0)
+    control = np.zeros(c.shape[1:])
+    for _ in range(_SWEEPS):
+        index = (b * c - control * both).mean(axis=0) / square.mean(axis=0)
+        # less the product, so that of a factor that changes nothing 0 is left
+        linear = b * c - both - np.clip(index, 0.0, 1.0) * square
+        slope = (linear * product).mean(axis=0) / (product**2).mean(axis=0)
+        control = 1.0 + slope
+    return control
 
 
 def indices(sums: Sums) -> dict[str, np.ndarray]:
@@ -109,11 +119,17 @@ def indices(sums: Sums) -> dict[str, np.ndarray]:
         sums: Those of :func:`index_sums`, without the axis of units or with others.
     """
     count = sums["count"]
-    mean, square = sums["pair"] / count, sums["pair_square"] / count
-    pairs = square - mean * mean
+    apart, moved = sums["apart"] / count, sums["moved"] / count
+    square = sums["pair_square"] / count
+    # products less those of their means, so that equal outputs leave exactly nothing
+    means = moved * (2.0 * apart + moved) + sums["left"] / count * apart**2
+    pairs = square - (apart + moved) ** 2
+    # no more than rounding: an event that no pair shows
+    pairs = np.where(pairs > 8.0 * np.finfo(float).eps * square, pairs, np.nan)
+    first = (sums["first"] / count - means) / pairs
     mean, square = sums["every"] / count, sums["every_square"] / count
     return {
-        "first": 1.0 - sums["first"] / count / pairs,
+        "first": first,
         "total": sums["total"] / count / (square - mean * mean),
     }
 

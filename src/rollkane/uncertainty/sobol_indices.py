@@ -11,6 +11,7 @@ from .inputs import chosen_outputs, share
 from .resampling import Spread, unit_numbers
 from .sampling import sampler
 from .sobol_estimates import Design, bound_sums, index_bounds, index_sums, indices
+from .sobol_few_hits import with_few_hits
 from .sobol_result import SobolIndices
 from .study import Study
 from .study_model import model_of
@@ -150,10 +151,11 @@ def _add(
         made.total_interval[name] = made.total_bounds[name] = unknown
         return
     units = np.unique(how.units[complete], return_inverse=True)[1]
-    kept = design.rows(complete).standardized()
-    spread = Spread(index_sums(kept, units), indices, *how.how)
+    kept = design.rows(complete)
+    spread = Spread(index_sums(kept.standardized(), units), indices, *how.how)
     found = spread.estimate
     intervals = {kind: spread.interval(kind) for kind in ("first", "total")}
+    intervals = with_few_hits(kept, intervals, how.how[0])
     made.first[name], made.total[name] = shaped(found["first"]), shaped(found["total"])
     made.first_interval[name] = shaped(intervals["first"])
     made.total_interval[name] = shaped(intervals["total"])
@@ -164,8 +166,9 @@ def _add(
         sums = bound_sums(design, low, high, how.units)
         wide = Spread(sums, index_bounds, *how.how)
         for kind in ("first", "total"):
-            ends = wide.interval(f"{kind}_low")[0], wide.interval(f"{kind}_high")[1]
-            bounds[kind] = np.clip(np.stack(ends), 0.0, 1.0)
+            least = np.fmin(wide.interval(f"{kind}_low")[0], intervals[kind][0])
+            most = np.fmax(wide.interval(f"{kind}_high")[1], intervals[kind][1])
+            bounds[kind] = np.clip(np.stack([least, most]), 0.0, 1.0)
     made.first_bounds[name] = shaped(bounds["first"])
     made.total_bounds[name] = shaped(bounds["total"])
 
