@@ -56,6 +56,15 @@ def rolling():
 
 
 @functools.cache
+def heavier():
+    """The same ball, some of a larger mass."""
+    given = rolling()
+    drawn = DRAWN | {"mass": rk.Uniform(1.0, 2.5)}
+    seen = {"series": given.series, "events": given.events}
+    return rk.Study(rolled, drawn, TIMES, given.observe, **seen)
+
+
+@functools.cache
 def stopping():
     """The ball, whose motion ends where it has come so far."""
     there = rk.Event(lambda *at: distance(*at) - 0.04, name="there")

@@ -491,6 +491,22 @@ def test_precision():
     assert not rk.Precision("x", absolute=1e9).reached(alone)
 
 
+def test_what_is_said_of_a_precision_that_was_missed():
+    x = np.random.default_rng(0).normal(10.0, 1.0, 400)
+    found = fed({"x": x, "pair": np.stack([x, 9 * x], 1)}, np.ones(400, bool))
+    half = 0.5 * np.diff(found.interval("x"))[0]
+    said = lambda *args, **how: rk.Precision(*args, **how).missed(found)
+    assert said("x", absolute=1.001 * half) == ""
+    assert f"of x was not reached: half its interval is {half:.3g}, not 0.01; " in (
+        said("x", absolute=0.01)
+    )
+    wanted = 1e-3 * found.mean["x"]  # the smaller of two
+    assert f", not {wanted:.3g};" in said("x", 0.05, 1e-3)
+    assert f"is {9 * half:.3g}, not 0.5;" in said("pair", absolute=0.5)  # the worse one
+    few = fed({"x": x[:63]}, np.ones(63, bool))
+    assert "from so few members" in rk.Precision("x", absolute=1e9).missed(few)
+
+
 @pytest.mark.parametrize(
     ("how", "field"),
     [

@@ -146,6 +146,17 @@ def test_a_precision_ends_it(study, tmp_path):
     assert json.loads(run("show", own[1], "--json").stdout)["members"] == 2048
 
 
+def test_a_precision_that_is_missed_is_told(study):
+    """Half width 1.96 * 0.01 m / sqrt(512) = 8.7e-4, to 1 / sqrt(1024) of it."""
+    ran = run("monte-carlo", study, "--size", 512, "--precision", "position=5e-4")
+    assert ran.exit_code == 0, ran.output
+    assert "the precision of position was not reached: half its interval" in ran.output
+    told = float(ran.output.split("half its interval is ")[1].split(",")[0])
+    assert abs(told / 8.7e-4 - 1.0) < 4.0 / 32.0
+    fine = run("monte-carlo", study, "--size", 512, "--precision", "position=5e-3")
+    assert "was not reached" not in fine.output
+
+
 REFUSED = {
     "no size": ((), "is needed"),
     "size": (("--size", "0"), "--size"),

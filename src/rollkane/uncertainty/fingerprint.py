@@ -79,6 +79,18 @@ def fingerprint(study: Study) -> dict[str, Any]:
     }
 
 
+def without_programs(found: Mapping[str, Any]) -> dict[str, Any]:
+    """A fingerprint less the digests that hold the distributions' numbers, too.
+
+    Where two have other distributions, nobody knows whether the functions differ, too.
+
+    Args:
+        found: What :func:`fingerprint` gives, or JSON keeps of it.
+    """
+    traced = {n: list(found.get(n, ()))[:-1] for n in ("observables", "events")}
+    return {**found, **traced, "scene and start": None}
+
+
 def _kept(event: Any, stops: bool) -> list[Any]:
     return [event.name, event.direction, event.stop or stops, event.most]
 

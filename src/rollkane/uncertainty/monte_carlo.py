@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, cast
 
 from ..validation.checks import FieldError, whole
 from .executors import Blocks, Members
-from .fingerprint import fingerprint
+from .fingerprint import fingerprint, without_programs
 from .member_statistics import MemberStatistics, statistics_of
 from .precision import Precision
 from .result import MonteCarlo, Rates, read_study
@@ -85,6 +85,7 @@ def monte_carlo(
             processes share; none of them waits for another. The result is of what the
             store has then: the last one to end has all.
         stop: Precision that is enough; looked at after 1024 members and each doubling.
+            The result's ``note`` says of one that was not reached.
         keep: Without a store: whether members are kept, or statistics alone.
         progress: Called after each block.
 
@@ -148,14 +149,15 @@ class _Work:
         count = -(-self._size // self._block)
         if shard is not None:
             return self._shard(shard, count)
-        first, reached = 0, None
+        first, reached, running = 0, None, self._statistics.running
         for last in _stages(count, self._block, bool(wanted)):
             self._fold(range(first, last))
             first = last
-            if wanted and all(one.reached(self._statistics.running) for one in wanted):
+            if wanted and all(one.reached(running) for one in wanted):
                 reached = min(last * self._block, self._size)
                 break
-        return self._result(reached)
+        missed = [] if reached else [one.missed(running) for one in wanted]
+        return self._result(reached, missed)
 
     def _shard(self, shard: Shard, count: int) -> MonteCarlo:
         """The blocks of one shard; then what the store has, of others, too."""
@@ -209,16 +211,17 @@ class _Work:
             rate = self._computed / passed
             self._progress(Done(*self._said, self._expected, rate))
 
-    def _result(self, reached: int | None) -> MonteCarlo:
+    def _result(self, reached: int | None, missed: list[str]) -> MonteCarlo:
         columns, about, store = self._blocks.runs.columns, self._about, self._store
         if reached is not None and reached < self._size and store is not None:
             store.end_at(reached)
+        notes = [*missed, self._sampler.note if reached is None else None]
         return MonteCarlo(
             *(self._statistics, columns, self._members.study.times, about),
             store=store,
             kept=self._kept,
             rates=self._rates,
-            note=self._sampler.note if reached is None else None,
+            note="; ".join(filter(None, notes)) or None,
         )
 
     @property
@@ -290,6 +293,18 @@ def _provenance(members: Members, runs: UnitRuns) -> dict[str, Any]:
     return cast("dict[str, Any]", json.loads(json.dumps(about)))
 
 
+def _apart(known: dict[str, Any], wanted: dict[str, Any]) -> list[str]:
+    """What two provenances do not share, each said once."""
+    both = known["study"], wanted["study"]
+    # a store of another version may lack any of it
+    if all(both) and both[0].get("distributions") != both[1]["distributions"]:
+        known, wanted = (
+            {**about, "study": without_programs(about["study"])}
+            for about in (known, wanted)
+        )
+    return list(differences(known, wanted))
+
+
 def _check_names(wanted: Sequence[Precision], runs: UnitRuns) -> None:
     known = statistics_of(runs.columns)
     for one in wanted:
@@ -336,7 +351,7 @@ class _Plan(NamedTuple):
         else:
             store = Store(path)
         kept = {name: store.about.get(name) for name in self.about}
-        apart = list(differences(kept, self.about))
+        apart = _apart(kept, self.about)
         if apart:
             raise StoreError(
                 f"{path} is the store of another study: what differs is "

@@ -71,13 +71,34 @@ class Precision:
         half = self.half_width(statistics)
         if statistics.count < LEAST:
             return False
+        return bool(np.all(half <= self._most(statistics)))
+
+    def missed(self, statistics: Statistics) -> str:
+        """What to say where members ended before it was reached; else nothing."""
+        if self.reached(statistics):
+            return ""
+        half = np.ravel(self.half_width(statistics))
+        if statistics.count < LEAST or not np.isfinite(half).all():
+            told = "is not known from so few members"
+        else:
+            most = np.broadcast_to(np.ravel(self._most(statistics)), half.shape)
+            # of all entries the one that is farthest from what is wanted
+            worst = int(np.argmax(half / np.maximum(most, np.finfo(float).tiny)))
+            told = f"is {half[worst]:.3g}, not {most[worst]:.3g}"
+        return (
+            f"the precision of {self.name} was not reached: half its interval {told}; "
+            "raise size"
+        )
+
+    def _most(self, statistics: Statistics) -> np.ndarray:
+        """Half width that is enough, of each entry [the value's unit]."""
         middle = {**statistics.mean, **statistics.probability}[self.name]
-        good = np.isfinite(half)
+        most = np.full(np.shape(middle), np.inf)
         if self.absolute is not None:
-            good &= half <= self.absolute
+            most = np.minimum(most, self.absolute)
         if self.relative is not None:
-            good &= half <= self.relative * np.abs(middle)
-        return bool(np.all(good))
+            most = np.minimum(most, self.relative * np.abs(middle))
+        return most
 
     def spec(self) -> dict[str, Any]:
         """What identifies it, for provenance: plain numbers and texts."""

@@ -50,7 +50,8 @@ class MonteCarlo:
         times: Output times [s], shape (T,).
         store: Where the members are; None where they are in memory, or not kept.
         rates: What this call has computed.
-        note: What a user should know of the samples or the store; None: nothing.
+        note: What a user should know of the samples, the store, or a precision that was
+            not reached; None: nothing.
         complete: Whether every block is there, whole.
     """
 
