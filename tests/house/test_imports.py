@@ -52,7 +52,8 @@ METHODS = {
     ("stability.branch", "pictures.plot_family"),
     ("uncertainty.result", "pictures.plot_study"),
 }
-PUBLIC = {"__init__", "moved_modules"}  # of the package itself: they know all folders
+# of the package itself: they know all folders
+PUBLIC = {"__init__", "__main__", "moved_modules"}
 FORBIDDEN = {"utils", "helpers", "common", "base", "core"}
 
 

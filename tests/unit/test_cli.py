@@ -122,6 +122,12 @@ def test_flags_of_the_user_stay(monkeypatch):
     assert os.environ["XLA_FLAGS"] == OURS + "2048"
 
 
+def test_the_module_runs_as_the_command():
+    command = [sys.executable, "-m", "rollkane", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == rollkane_with("--version").output
+
+
 def test_version():
     result = rollkane_with("--version")
     assert result.output == f"rollkane, version {rk.__version__}\n"
