@@ -179,7 +179,9 @@ def test_nearest_points_of_a_wire_look_at_each_other(name):
 
     def found(q, r):
         state = rk.release(scene, q, still, r, still)
-        distance, near = nearest_anywhere.nearest_anywhere(scene, jnp.asarray(0.0), state)
+        distance, near = nearest_anywhere.nearest_anywhere(
+            scene, jnp.asarray(0.0), state
+        )
         out = scene.base.surface.geometry(near.contact_on_base).normal
         if scene.has_contact_coordinates:
             inwards = scene.body.surface.geometry(near.contact_on_body).normal
