@@ -57,7 +57,8 @@ def on_its_side(
     if by_speeds is None:
         by_speeds = _by_speeds(system, t, state)
     loose = jnp.asarray(rtol, by_speeds.dtype)
-    return of_side(system, _side(by_speeds, system.dependent, loose))
+    own = by_speeds[:, : system.speeds]
+    return of_side(system, _side(own, system.dependent, loose))
 
 
 @for_few_operations
@@ -68,7 +69,7 @@ def _side(
     least = jnp.minimum(_TIMES * jnp.sqrt(rtol), _LOOSE)
     powers = np.ones(1 + len(dependent))
     powers[0] = max(1.0, len(dependent) / _FEW)
-    side = 1.0 / (least**powers * _measures(C, dependent))
+    side = 1.0 / (least ** jnp.asarray(powers, C.dtype) * _measures(C, dependent))
     return jax.lax.stop_gradient(jnp.where(jnp.isfinite(side), side, 0.0))
 
 
@@ -83,7 +84,8 @@ def _measures(C: Float[Array, "k m"], dependent: tuple[int, ...]) -> Float[Array
 def share_of(system: KaneSystem, C: Float[Array, "k m"]) -> Float[Array, ""]:
     """What is smallest, of the least that a motion may have; below one it ends."""
     assert system.side is not None
-    return jnp.min(_measures(C, system.dependent) * system.side)
+    own = C[:, : system.speeds]  # what a row has of auxiliary speeds holds nothing
+    return jnp.min(_measures(own, system.dependent) * system.side)
 
 
 def of_side(system: KaneSystem, side: Any) -> KaneSystem:
