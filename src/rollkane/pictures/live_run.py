@@ -18,7 +18,8 @@ from ..validation.checks import FieldError
 from .viewer import view_data
 
 OUTPUTS = 301  # frames that the page moves smoothly between
-LEAST_RTOL = 1e-7  # seven digits, more than a picture shows
+# of a step: more than a picture shows, but of motions that part quickly
+LEAST_RTOL = 1e-7
 _MOST_NUMBERS = 24
 _TABLES = "body", "base", "start", "loads", "supported", "rolling", "contact", "modes"
 # what is not to be dragged: it would be another scene

@@ -111,7 +111,7 @@ def normal_modes(scene: Scene, rest: State) -> NormalModes:
     if not largest <= _RESTS * max(fastest, _STILL):
         problem = f"does not stay at rest: its rates are {largest:.2g} [1/s]"
         remedy = "find the rest with rollkane.steady_motion, and give its state"
-        raise FieldError(f"{_FIELD}.rest", "...", problem, remedy)
+        raise FieldError("normal_modes.rest", "...", problem, remedy)
     like = slopes * size[None] / size[:, None]
     told = spectrum_at_rest(scene, around.reference)
     frequencies, shapes = _vibrations(like, told, around, size)
