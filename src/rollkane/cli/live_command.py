@@ -22,7 +22,7 @@ from .preparation import loaded, scene_argument, start_jax
 
 _HOST = "127.0.0.1"
 _LONGEST = 100_000  # of a question [bytes]
-_BYTES = re.compile(r"[0-9]{1,15}")
+_BYTES = re.compile(r"[0-9]{1,15}")  # more digits than any question's length has
 _MOST_READ = 100 * _LONGEST  # of what is too long, so that its sender hears why [bytes]
 
 

@@ -60,10 +60,8 @@ def doubt_in_flight(
         reach: Of the body, from its origin [m].
     """
     h = t1 - at.t
-    gap = jnp.where(before > 0.0, before, 0.0)
-    gaps = jnp.stack([gap, end.values[0]])
+    gaps = jnp.stack([_at_start(before), end.values[0]])
     turns = may_touch_twice(scene)
-
     fastest = _fastest(scene, at, t1, end, reach)
     share = _TRUST if turns else 1.0
     apart = share * jnp.sum(gaps) > fastest * h
@@ -96,11 +94,23 @@ def closes_as_it_may(
     """Whether the gap fell by no more than the body moved: else it is another's.
 
     Over the flat of a disc no point of its rim is the nearest, and the search ends at
-    one on the far side, of a gap less than zero. Arguments: as above.
+    one on the far side, of a gap less than zero.
+
+    Args:
+        scene: What flies over what.
+        at: Where the step began.
+        t1: Where it ends [s].
+        end: The step.
+        before: Gap where it began [m]; NaN right behind a contact.
+        reach: Of the body, from its origin [m].
     """
-    gap = jnp.where(before > 0.0, before, 0.0)
     moved = _fastest(scene, at, t1, end, reach) * (t1 - at.t)
-    return ~(end.values[0] < gap - moved - rounding(end.y, reach))
+    return ~(end.values[0] < _at_start(before) - moved - rounding(end.y, reach))
+
+
+def _at_start(before: Float[Array, ""]) -> Float[Array, ""]:
+    """The gap where a step begins [m]: none right behind a contact."""
+    return jnp.where(before > 0.0, before, 0.0)
 
 
 def _fastest(
