@@ -227,6 +227,7 @@ REFUSED = {
     ),
     "a row with more columns": _columns("0.03 4 4"),
     "a gap in a time column": _columns(""),
+    "times that fall, or repeat, in a time column": _columns("0.01 4"),
     "a .VT2 or .DT2 file whose header says nothing": lambda folder: rk.read_at2(
         written(folder, "title\nNPTS= 2, DT= .02 SEC\n1 2\n", "record.VT2")
     ),
@@ -241,6 +242,9 @@ REFUSED = {
     ),
     "a clock of `RecordedMotion` that drifts": lambda folder: rk.RecordedMotion(
         DRIFT, np.zeros(len(DRIFT))
+    ),
+    "times of `RecordedMotion` that fall, or repeat": lambda folder: rk.RecordedMotion(
+        DRIFT[[0, 1, 1, 2]], np.zeros(4)
     ),
 }
 

@@ -144,7 +144,17 @@ BAD = {
     "zero with a power": (
         rk.read_two_column,
         "t a\n0e999 1\n0e999 2\n",
-        r"line 3: comes 0 s after",
+        r"line 3: has the time 0\.0 s after 0\.0 s",
+    ),
+    "a time twice": (
+        rk.read_two_column,
+        "0.0 1\n0.1 2\n0.1 3\n0.2 4\n",
+        r"line 3: has the time 0\.1 s after 0\.1 s.*leave out repeated ones",
+    ),
+    "rows that are not sorted": (
+        rk.read_two_column,
+        "0.0 1\n0.1 2\n0.3 3\n0.2 4\n",
+        r"line 4: has the time 0\.2 s after 0\.3 s.*sort the rows by time",
     ),
     "negative count": (rk.read_single_column, "t\n-2 0.1\n1\n2\n", r"two samples"),
     "huge count": (rk.read_single_column, "t\n1e18 0.1\n1\n2\n", r"its header says"),

@@ -96,6 +96,30 @@ def test_a_sample_that_is_missing_is_noticed():
                 rk.RecordedMotion(time, np.zeros(count - 1))
 
 
+DISORDER = {
+    "falling": ([0.0, 0.1, 0.3, 0.2], "row 3 has 0.2 s after 0.3 s"),
+    "twice the same": ([0.0, 0.1, 0.1, 0.2], "row 2 has 0.1 s after 0.1 s"),
+    "all the same": ([0.5, 0.5], "row 1 has 0.5 s after 0.5 s"),
+    "backwards": ([3.0, 2.0, 1.0, 0.0], "row 1 has 2.0 s after 3.0 s"),
+    "by a rounding": (
+        [0.1 + 0.2, 0.3, 0.6],
+        "row 1 has 0.3 s after 0.30000000000000004",
+    ),
+    "after a gap": ([0.0, 0.1, 0.9, 1.0, 0.95], "row 4 has 0.95 s after 1.0 s"),
+}
+
+
+@pytest.mark.parametrize("name", DISORDER)
+def test_times_out_of_order_are_told_from_a_gap(name):
+    """By the first pair, and with what mends it: a gap's remedy does not."""
+    time, pair = DISORDER[name]
+    with pytest.raises(FieldError, match=pair) as caught:
+        rk.RecordedMotion(time, np.zeros(len(time)))
+    assert caught.value.field == "RecordedMotion.time"
+    assert "sort" in caught.value.remedy
+    assert "leave out repeated" in caught.value.remedy
+
+
 def test_a_traced_clock_is_judged_too():
     values = jnp.zeros(3000)
 

@@ -104,7 +104,7 @@ RECORDS = {
         {"gyro": GYRO},
         None,
         "time",
-        "row 2 has 0.1 s after 0.1 s",
+        "row 2 has 0.1 s after 0.1 s.*leave out repeated times",
     ),
     "no channel": (TIMES, {}, None, "channels", "must name channels"),
     "a list": (TIMES, [GYRO], None, "channels", "must name channels"),

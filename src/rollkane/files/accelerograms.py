@@ -262,7 +262,16 @@ def _equal_steps(
         )
         good = (np.abs(time - equal) <= slack).all()
         good &= (np.abs(gaps - usual) <= slack).all()
-    if not (usual > 0 and good):
+    falls = np.flatnonzero(gaps <= 0.0)
+    if falls.size:
+        row = int(falls[0]) + 1
+        file.refuse(
+            places[row],
+            f"has the time {time[row]!s} {unit} after {time[row - 1]!s} {unit}",
+            "sort the rows by time, and leave out repeated ones (of times that are "
+            "rounded to the same number, write more digits)",
+        )
+    if not good:
         worst = int(np.argmax(np.abs(gaps - usual))) + 1
         file.refuse(
             places[worst],

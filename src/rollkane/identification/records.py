@@ -8,7 +8,13 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from ..validation.checks import FieldError, is_traced, real, real_numbers
+from ..validation.checks import (
+    FieldError,
+    is_traced,
+    real,
+    real_numbers,
+    refuse_disorder,
+)
 from .channels import AbstractChannel
 from .sensors import Orientation
 
@@ -76,14 +82,7 @@ def _times(time: ArrayLike) -> np.ndarray:
     if not np.isfinite(known).all():
         row = int(np.argmin(np.isfinite(known)))
         raise FieldError("Record.time", "...", f"is not finite in row {row}", remedy)
-    falls = np.diff(known) <= 0.0
-    if falls.any():
-        row = int(np.argmax(falls)) + 1
-        problem = (
-            f"is out of order: row {row} has {known[row]:.9g} s after "
-            f"{known[row - 1]:.9g} s"
-        )
-        raise FieldError("Record.time", "...", problem, remedy)
+    refuse_disorder("Record.time", known)
     return known
 
 

@@ -12,7 +12,14 @@ from jax.core import eval_context
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError, dimension, is_traced, real, refuse
+from ..validation.checks import (
+    FieldError,
+    dimension,
+    is_traced,
+    real,
+    refuse,
+    refuse_disorder,
+)
 from .base_motion import AbstractBaseMotion, BaseKinematics
 
 # How far a sample may be from equal spacing [steps]: times printed with few digits are.
@@ -75,8 +82,8 @@ class RecordedMotion(_Sampled):
             start_position: At the first sample [m], shape (3,).
 
         Raises:
-            FieldError: gaps (numbers that are not finite), unequal steps, arrays that
-                do not belong together.
+            FieldError: gaps (numbers that are not finite), times out of order, unequal
+                steps, arrays that do not belong together.
 
         Outside the record the motion is not known: ``simulate`` refuses times there.
         """
@@ -164,6 +171,9 @@ def _equal_steps(time: Any) -> Array:
         raise FieldError(
             field, time, "must hold two samples or more", "give the record"
         )
+    if not is_traced(times):
+        # as given: single precision may round two times to one
+        refuse_disorder(field, np.asarray(time, np.float64))
 
     def uneven(t: Any) -> Any:  # a NumPy array or a traced one
         _, step, off = _spacing(t)

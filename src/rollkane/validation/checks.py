@@ -251,6 +251,25 @@ def positive(
     )
 
 
+def refuse_disorder(field: str, times: Any) -> None:
+    """Refuse known sample times that do not increase, naming the first pair.
+
+    Args:
+        field: Name used in the error.
+        times: Known numbers [s], shape (N,), as they were given.
+
+    Raises:
+        FieldError: one is no later than the one before.
+    """
+    falls = np.flatnonzero(np.diff(times) <= 0.0)
+    if falls.size:
+        row = int(falls[0]) + 1
+        # all digits: what falls may do so in the last one
+        pair = f"row {row} has {times[row]!s} s after {times[row - 1]!s} s"
+        remedy = "sort the samples by time, and leave out repeated times"
+        raise FieldError(field, times, f"is out of order: {pair}", remedy)
+
+
 def flag(field: str, value: object) -> bool:
     """True or False, and nothing that merely looks like it."""
     if not isinstance(value, _TRUTHS):
