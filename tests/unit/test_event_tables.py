@@ -91,7 +91,7 @@ def at(states):
         ('of = "spin"\nlevel = "high"', r"events\[2\]\.level: must be a number"),
         ('of = "spin"\ndirection = 2', r"events\[2\]\.direction: is not a known"),
         ('of = "lift-off"\nname = "x"\nlevel = 1.0', "it has no level"),
-        ('of = "lift-off"', "is called 'lift-off', as another one is"),
+        ('of = "lift-off"', "is called 'lift-off', as another.*of its observable"),
         ('level = 1.0\nname = "x"', r"events\[2\]\.of: is missing"),
         ('of = "spin"\nstop = 1', r"events\[2\]\.stop: must be true or false"),
     ],

@@ -150,7 +150,15 @@ REFUSED = {
     "no names": (dict(observe=energy), "must give functions names"),
     "a taken name": (dict(observe={"code": energy}), "is taken"),
     "a bad name": (dict(observe={"a/b": energy}), "is no name"),
-    "one name twice": (dict(series={"energy": energy}), "is there twice"),
+    "one name twice": (
+        dict(series={"energy": energy}),
+        "Study.series['energy']: is called as Study.observe['energy'] is",
+    ),
+    "an event called as an observable": (
+        dict(events=rk.Event(energy)),
+        "Study.events[0]: is called as Study.observe['energy'] is, got 'energy'; give "
+        "each its own name; an event without one, Event(..., name=...), takes that of",
+    ),
     "no observable": (dict(observe={"energy": 1.0}), "must be a function"),
     "text": (dict(observe={"a": lambda *at: "text"}), "cannot be used"),
     "complex": (dict(observe={"a": lambda *at: 1j}), "gives a complex"),

@@ -194,7 +194,30 @@ WRONG = {
     "a direction": (("direction = -1", "direction = 2"), ("direction",)),
     "a stop": (("stop = true", 'stop = "no"'), ("stop", "must be True or False")),
     "a name": (('name = "reversal"', "name = 3"), ("name", "must be a text")),
-    "one name twice": (('name = "reversal"', 'name = "spin"'), ("is there twice",)),
+    "the name of an observable": (
+        ('name = "reversal"', 'name = "spin"'),
+        ("events[0].name: is what observe lists, too", "take another name"),
+    ),
+    "the name of a series": (
+        ('name = "reversal"', 'name = "energy series"'),
+        ("events[0].name: is what series lists, too",),
+    ),
+    "an event without a name": (
+        ('name = "reversal"\n', ""),
+        (
+            "events[0]: has no name and takes its observable's, 'spin', which observe "
+            "lists, too",
+            "give it one of its own",
+        ),
+    ),
+    "a name that is taken": (
+        ('name = "reversal"', 'name = "time"'),
+        ("events[0].name: is taken", "take another"),
+    ),
+    "no name": (
+        ('name = "reversal"', 'name = "1st"'),
+        ("events[0].name: is no name", "a letter first"),
+    ),
     "an unknown key": (
         ("level = 0.0", "levle = 0.0"),
         ("levle", "did you mean level?"),
@@ -222,6 +245,20 @@ def test_mistakes_are_told(tmp_path, name):
     assert "study.toml" in text
     for part in said:
         assert part in text, text
+
+
+def test_an_event_of_the_scenes_file_may_be_called_as_an_observable(tmp_path):
+    """The study says so of its scene, where it has no event of that name itself."""
+    (tmp_path / "mine.toml").write_text(BALL + '[[events]]\nof = "spin"\n')
+    text = 'scene = "mine.toml"\nobserve = ["spin"]\n' + VARY
+    with pytest.raises(SceneFileError) as refused:
+        load_study(written(tmp_path, text))
+    (problem,) = refused.value.problems
+    assert problem.field == "scene"
+    assert "has an event 'spin', and observe lists that name, too" in problem.problem
+    assert "in the scene's file" in problem.remedy
+    other = text.replace("spin", "tilt")
+    assert load_study(written(tmp_path, other)).study.event_names == ("spin",)
 
 
 def test_all_mistakes_are_told_at_once(tmp_path):

@@ -102,7 +102,7 @@ class Study:
             "max_steps": max_steps,
             "method": method,
         }
-        _check_names([*self.observe, *self.series, *self.event_names])
+        _check_names(self)
 
     @property
     def event_names(self) -> tuple[str, ...]:
@@ -133,6 +133,12 @@ def _events(field: str, given: Any) -> tuple[Any, ...]:
     return tuple(known_event(f"Study.{field}", one) for one in each)
 
 
+def _event_fields(study: Study) -> list[str]:
+    """Where each event of ``event_names`` was given, for errors."""
+    given = {"events": study.events, "stop": study.stop}
+    return [f"Study.{name}[{i}]" for name, x in given.items() for i in range(len(x))]
+
+
 def _ends(given: Any) -> tuple[int, ...]:
     for code in given:
         if code not in _CODES.values():
@@ -141,17 +147,29 @@ def _ends(given: Any) -> tuple[int, ...]:
     return (Code.COMPLETED, Code.STOPPED, *map(int, given))
 
 
-def _check_names(names: list[str]) -> None:
-    for name in names:
-        where = "Study.observe, series and events"
+def _check_names(study: Study) -> None:
+    """Refuse what is no name, or names two things."""
+    names = [
+        *((f"Study.observe[{name!r}]", name) for name in study.observe),
+        *((f"Study.series[{name!r}]", name) for name in study.series),
+        *zip(_event_fields(study), study.event_names, strict=True),
+    ]
+    owners: dict[str, str] = {}
+    for where, name in names:
         if not isinstance(cast(object, name), str) or not _NAME.fullmatch(name):
             remedy = "use letters, digits, blanks, - and _, a letter first"
             raise FieldError(where, name, "is no name", remedy)
         if name in RESERVED:
             remedy = "take another; it is that of something kept of every member"
             raise FieldError(where, name, "is taken", remedy)
-        if names.count(name) > 1:
-            raise FieldError(where, name, "is there twice", "give each its own name")
+        if name in owners:
+            problem = f"is called as {owners[name]} is"
+            remedy = (
+                "give each its own name; an event without one, Event(..., name=...), "
+                "takes that of its function"
+            )
+            raise FieldError(where, name, problem, remedy)
+        owners[name] = where
     if not names:
         remedy = "give observe=, series= or events="
         raise FieldError("Study.observe", None, "leaves nothing to look at", remedy)

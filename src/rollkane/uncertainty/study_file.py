@@ -1,6 +1,7 @@
 """A study from a TOML file: a scene file, what varies in it, what is looked at."""
 
 import functools
+import re
 from collections.abc import Callable, Iterable, Mapping
 from os import PathLike
 from pathlib import Path
@@ -29,6 +30,8 @@ _KEYS = (
     *("title", "scene", "times", "size", "seed", "sampling", "block"),
     *("vary", "observe", "series", "events"),
 )
+
+_EVENT = re.compile(r"Study\.events\[(\d+)\]")
 
 
 class StudyFile(NamedTuple):
@@ -109,15 +112,50 @@ class _Checked:
                 method=file.method,
             )
         except FieldError as error:
-            if error.field.endswith("times"):
-                self._report.add(("times",), error.problem, error.remedy)
-            else:
-                self._report.add((), str(error), "change the study")
+            self._refused(error, file)
             self._report.raise_if_any()
             raise
         title = document.get("title") or file.title
         how = self.size, self.seed, self.sampling, self.block
         return StudyFile(study, title, *how)
+
+    def _refused(self, error: FieldError, file: SceneFile) -> None:
+        """Note what the study refuses, where this file gives it."""
+        event = _EVENT.fullmatch(error.field)
+        if event is not None:
+            own = int(event[1]) - len(self._all_events(file)) + len(self.events)
+            self._event_name(own, error)
+        elif error.field.endswith("times"):
+            self._report.add(("times",), error.problem, error.remedy)
+        else:
+            self._report.add((), str(error), "change the study")
+
+    def _event_name(self, own: int, error: FieldError) -> None:
+        """Note a name that the event with a number cannot have.
+
+        Args:
+            own: Its number in this file; negative: it is in the scene's.
+            error: What the study says of it.
+        """
+        name = error.value
+        known = {"observe": self.observe, "series": self.series}
+        lists = "".join(field for field, names in known.items() if name in names)
+        if own < 0:
+            problem = f"has an event {name!r}, which {error.problem}"
+            if lists:
+                problem = f"has an event {name!r}, and {lists} lists that name, too"
+            remedy = "give that event another name, in the scene's file"
+            self._report.add(("scene",), problem, remedy)
+        elif "name" in self._document["events"][own]:
+            problem = f"is what {lists} lists, too" if lists else error.problem
+            remedy = "take another name" if lists else error.remedy
+            self._report.add(("events", own, "name"), problem, remedy)
+        else:
+            problem = f"has no name and takes its observable's, {name!r}"
+            if lists:
+                problem += f", which {lists} lists, too"
+            remedy = 'give it one of its own, such as name = "crossing"'
+            self._report.add(("events", own), problem, remedy, at_key=True)
 
     def _all_events(self, file: SceneFile) -> tuple[Any, ...]:
         """Those of the scene's file, but for names that it has itself, and its own."""

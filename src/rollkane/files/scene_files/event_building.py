@@ -46,7 +46,10 @@ def events_of(report: Report) -> tuple[Event, ...]:
             continue
         if event.name in [other.name for other in found]:
             problem = f"is called {event.name!r}, as another one is"
-            report.add(("events", i), problem, "give each a name of its own")
+            remedy = "give each a name of its own"
+            if "name" not in table:
+                remedy += "; without one it takes that of its observable"
+            report.add(("events", i), problem, remedy)
         found.append(event)
     return tuple(found)
 
