@@ -244,7 +244,7 @@ def test_a_run_ends_where_its_body_reaches_the_base_again(way):
     run = rk.simulate(pair, start, [0.0, 2.0], second_contact=True, **options)
     assert run.code == rk.Code.SECOND_CONTACT
     assert "second place" in run.reason
-    assert run.method == ("native" if way == "modes" else "diffrax")
+    assert (run.method, run.why) == ("native", "")
     # at 0.5 m/s on what is flat: where it touches the plane, the hill is lower than
     # 0.25 exp(-0.1^2 / 0.002) = 1.7 mm, which lifts the ball and slows it: 1 mm
     where = reaches_the_post()
@@ -254,6 +254,46 @@ def test_a_run_ends_where_its_body_reaches_the_base_again(way):
     found = clearance_of(pair, run.final_time, final)
     # a ball of 0.1 m is allowed 1e-10 m
     assert -1.1e-10 < found.gap < 0.0
+
+
+def test_a_batch_of_runs_at_a_second_place_is_each_alone():
+    """Balls of their own at posts of their own, of which some are reached."""
+
+    def run(radius, reach, speed, method="native"):
+        hill_there = lambda x, y: hill(x + 1.0 - reach, y)
+        pair = scene(rk.Sphere(radius), rk.Graph(hill_there))
+        start = rk.place(pair, LEVEL, jnp.array([0.0, 1.0, 0.0]) * speed, STILL)
+        found = rk.simulate(pair, start, [0.0, 1.0], second_contact=True, method=method)
+        return found.final_time, found.code, found.final_state, found.steps
+
+    given = jnp.array([[0.1, 0.5, 5.0], [0.09, 2.0, 4.0], [0.12, 0.45, 4.5]]).T
+    times, codes, states, steps = jax.jit(jax.vmap(run))(*given)
+    assert codes.tolist() == [10, 0, 10]  # SECOND_CONTACT, COMPLETED
+    for i in range(3):
+        alone = run(*given[:, i])
+        # to the last bit, as all native runs
+        assert (times[i], codes[i], steps[i]) == (alone[0], alone[1], alone[3])
+        pairs = zip(jax.tree.leaves(states), jax.tree.leaves(alone[2]), strict=True)
+        assert all((a[i] == b).all() for a, b in pairs)
+    # both end between the touch and the 1e-9 of the size that are allowed, 1e-10 m:
+    # less than 1e-9 s apart at some 0.5 m/s towards a post that stands upright
+    other = run(*given[:, 0], "diffrax")
+    assert other[1] == codes[0]
+    np.testing.assert_allclose(other[0], times[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_derivatives_where_a_second_place_is_looked_for():
+    """Looking changes no step of a run that reaches none, nor its derivatives."""
+    pair = scene(rk.Ellipsoid((0.1, 0.15, 0.12)), rk.Graph(hill))
+
+    def height(speed, **options):
+        start = rk.place(pair, LEVEL, jnp.array([0.3, 1.0, 0.1]) * speed, STILL)
+        run = rk.simulate(pair, start, [0.0, 0.5], **options)
+        return run.position[-1, 2]
+
+    looks = jax.value_and_grad(height)(2.0, second_contact=True)
+    assert looks == jax.value_and_grad(height)(2.0)
 
 
 @pytest.mark.slow

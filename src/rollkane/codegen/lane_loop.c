@@ -2,7 +2,8 @@
  * (numbers of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS
  * (that prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
  * plane vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
- * prepare_watch and rates_watch.
+ * prepare_watch and rates_watch; where ENDS, a whole program that is asked where a step may
+ * end, ENDS_SMALL and given_at_end (step_ends.py).
  *
  * Every lane has a time and a step of its own. One that reaches a stop writes its output
  * and goes on; one that ends takes the next motion of the queue. The steps are those of
@@ -16,6 +17,9 @@ enum { COMPLETED = 0, MAX_STEPS_REACHED, STEP_TOO_SMALL, BAD_START,
        STOPPED = 12, EVENT_NOT_FINITE }; /* Code */
 #ifndef EVENTS
 #define EVENTS 0
+#endif
+#ifndef ENDS
+#define ENDS 0
 #endif
 
 typedef struct {
@@ -101,6 +105,26 @@ INLINE mask unbroken(const Queue *q, const Prepared *p, const Lanes *a, const ro
     for (int i = 0; i < 2 * WATCHED; i += 2)
         stands &= before[i] * after[i] + before[i + 1] * after[i + 1] > least;
     return stands;
+}
+#endif
+
+#if ENDS
+OF_THE_PROGRAM int to_end_now(void) { return told_to_end(); }
+
+/* Which of the lanes' steps end where they may. */
+static mask may_end(const Queue *q, const Lanes *a, const row *y, real *workspace) {
+    mask may = mask_of(1);
+    for (int l = 0; l < LANES; l++) {
+        if (!LANE(a->running, l)) continue;
+        real at[1 + N], small[ENDS_SMALL], told;
+        at[0] = q->sense * LANE(a->t_end, l);
+        for (int c = 0; c < N; c++) at[1 + c] = LANE(y[c], l);
+        Frame frame = {.left[0] = &told, .workspace = workspace};
+        given_at_end(&frame, small, at, q->shared, q->own + a->motion[l] * OWN);
+        run(&frame);
+        LANE(may, l) = told > 0 ? YES : 0;
+    }
+    return may;
 }
 #endif
 
@@ -288,6 +312,9 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
 #if EVENTS
     row seen[EVENTS];
 #endif
+#if ENDS
+    real *workspace = malloc((WORKSPACE + 1) * sizeof *workspace);
+#endif
     long ahead = 0;
     int64_t turns = 0;
     memset(&a, 0, sizeof a);
@@ -300,7 +327,7 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
             LANE(moved, l) = YES;
             LANE(fresh, l) = visit(q, out, &a, l, &ahead) ? YES : 0;
         }
-        if (!any(a.running)) return turns;
+        if (!any(a.running)) break;
         a.t_end = choose_row(moved, towards(only, a.goal, a.t, a.wanted), a.t_end);
         if (any(fresh)) {
 #if EVENTS
@@ -338,6 +365,9 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
             size = choose_row(size < (real)1e12, size, splat((real)1e12)); /* NaN too */
 #if WATCHED
             size = choose_row(unbroken(q, p, &a, y), size, splat((real)1e12));
+#endif
+#if ENDS
+            size = choose_row(may_end(q, &a, y, workspace), size, splat((real)1e12));
 #endif
 #if EVENTS
             const mask known = events_known(&a, seen);
@@ -406,6 +436,10 @@ static int64_t run_lanes(const Queue *q, const Prepared *p, const Results *out) 
             /* a thread that pauses must not wait for the others of its warp */
         } while (!ON_DEVICE && !any(paused));
     }
+#if ENDS
+    free(workspace);
+#endif
+    return turns;
 }
 
 int64_t integrate(const Queue *q, const Results *out) {

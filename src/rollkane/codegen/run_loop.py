@@ -15,10 +15,13 @@ from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
 from .opened import opened
+from .platforms import platform
 from .right_hand_side import Looked, lanes_source
 from .runge_kutta_source import attempt_source, of_bearable_length
 from .scalar_program import NotElementwiseError
+from .step_ends import StepEnds
 from .tableau import Weights
+from .tracing import becoming_c
 
 
 class Course(NamedTuple):
@@ -100,6 +103,7 @@ class RunLoop:
         between: int = 0,
         watch: Callable[..., Array] | None = None,
         events: Looked | None = None,
+        ends: Callable[..., Array] | None = None,
     ):
         """Write the right-hand side as C and compile it.
 
@@ -112,9 +116,12 @@ class RunLoop:
             between: How many steps from one recorded state to the next; 0: no record.
             watch: Vectors that no step may reverse; see ``lanes_source``.
             events: What is looked for; see ``lanes_source``.
+            ends: ``ends(t, y, *leaves)`` -> whether a step may end there; None:
+                anywhere.
 
         Raises:
-            NotElementwiseError: the right-hand side is more than arithmetic.
+            NotElementwiseError: the right-hand side is more than arithmetic, or on a
+                GPU it is asked where steps may end.
             NoCompilerError: no C compiler.
         """
         state = jax.ShapeDtypeStruct(state.shape, state.dtype)
@@ -129,6 +136,13 @@ class RunLoop:
         if events is not None:
             values, more = opened(events.values, state, leaves, len(known))
             self._events = events._replace(values=values)
+            known += more
+        self._ends: Callable[..., Array] | None = None
+        if ends is not None:
+            if platform() == "cuda":
+                raise NotElementwiseError("a look over all of both surfaces")
+            with becoming_c():
+                self._ends, more = opened(ends, state, leaves, len(known))
             known += more
         self._leaves = [*leaves, *known]
         self._zeros = [*zeros, *[b""] * len(known)]
@@ -159,6 +173,12 @@ class RunLoop:
         }
         known = made.text, attempt_source(weights)
         loop = *of_bearable_length(known), *made.loop, "queue.h"
+        before, further = (), ()
+        if self._ends is not None:
+            asked = StepEnds(self._ends, state, like, own, zeros)
+            most = max(_GIVEN, asked.program.head["MOST_GIVEN"])
+            head |= asked.head | {"MOST_GIVEN": most}
+            before, further = asked.parts, asked.program.further
         alone = lanes == 1
 
         def kernel() -> Kernel:
@@ -177,8 +197,8 @@ class RunLoop:
                 shortest=None if alone else _FIRST_STEPS,
             )
 
-        parts = "threads.h", *loop, caller
-        return XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
+        parts = *before, "threads.h", *loop, caller
+        return XlaCall(state.dtype, lanes, head, parts, further, kernel=kernel)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:
         """Integrate a start, with this many steps at most, rejected ones too."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from numpy.typing import NDArray
 
+from ..codegen.compile_effort import for_one_call
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractSurface
@@ -34,6 +35,7 @@ _NEAR = 8  # neighbours of a sample
 _ROUNDS, _SHRINK = 12, 0.4  # to 2e-5 of the samples' distance: 1e-10 of its gap
 
 _Map: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, "3"]]
+_Lowest: TypeAlias = Callable[[Float[Array, " k"]], tuple[Array, Array]]
 # Signed distance of a point [m]; None: a surface without an inside.
 _Level: TypeAlias = Callable[[Float[Array, "3"]], Float[Array, ""] | None]
 
@@ -196,7 +198,7 @@ def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) ->
     )
 
 
-@jax.jit
+@for_one_call
 def _clearance_at_end(scene: Scene, t: Float[Array, ""], state: AnyState) -> Clearance:
     return clearance(scene, t, state)
 
@@ -291,7 +293,7 @@ def _least_of(
 def _lowest(side: _Side) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """The least level of a surface's points, and the point that has it."""
     surface, dtype = side.surface, side.dtype
-    _, chosen = _candidates(side, _LOWEST)
+    levels, chosen = _candidates(side, _LOWEST)
     spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
     ticks = np.linspace(-1.0, 1.0, 5)
     star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)
@@ -310,8 +312,15 @@ def _lowest(side: _Side) -> tuple[Float[Array, ""], Float[Array, "3"]]:
         (u, _), _ = jax.lax.scan(narrow, start, length=_ROUNDS)
         return side.value(u), surface.point(u)
 
-    # one after the other, too
-    gaps, places = cast(tuple[Array, Array], jax.lax.map(lower, chosen))
+    def found(near: tuple[Array, Array]) -> tuple[Array, Array]:
+        level, u = near
+        as_it_is: _Lowest = lambda u: (level, surface.point(u))
+        return cast(
+            tuple[Array, Array], jax.lax.cond(jnp.isinf(level), as_it_is, lower, u)
+        )
+
+    # one after the other, too: few places are lower than all around them
+    gaps, places = cast(tuple[Array, Array], jax.lax.map(found, (levels, chosen)))
     best = jnp.argmin(gaps)
     return gaps[best], places[best]
 

@@ -249,6 +249,10 @@ def _natively(
         model, events = jax.tree.unflatten(tree, leaves)
         return values_of(events, model, t, unpack(y, like))
 
+    def ends(t: Array, y: Array, *leaves: Array) -> Array:
+        assert plan.allowed is not None
+        return plan.allowed(jax.tree.unflatten(tree, leaves)[0], t, unpack(y, like))
+
     assert plan.zeros is not None
     loop = RunLoop(
         derivative,
@@ -259,6 +263,7 @@ def _natively(
         STEPS_BETWEEN if recording else 0,
         unbroken_numbers(plan.problem.unbroken, model, like),
         Looked(values, layout_of(events)) if events else None,
+        None if plan.allowed is None else ends,
     )
     course = _course(plan, rates, like, inputs, recording)
     most = plan.max_steps

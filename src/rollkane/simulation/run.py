@@ -103,16 +103,14 @@ def simulate(
             a CPU: diffrax's steps in a tenth of the time and half of the wait for the
             first result. ``"diffrax"``: XLA's programs. ``"auto"``: native where it
             can; the result's ``method`` and ``why`` tell. Native it cannot with
-            ``stepsize_controller``, ``adjoint``, ``saveat``, ``progress_meter``, or
-            without ``modes`` with a ``second_contact`` to look for, a ``solver`` other
-            than Bosh3, Tsit5, Dopri5 and Dopri8, or rates that are more than
-            arithmetic. Where there is no C compiler, or it fails, diffrax takes its
-            place, with a warning once.
+            ``stepsize_controller``, ``adjoint``, ``saveat``, ``progress_meter``, a
+            ``solver`` other than Bosh3, Tsit5, Dopri5 and Dopri8, or rates that are
+            more than arithmetic. Where there is no C compiler, or it fails, diffrax
+            takes its place, with a warning once.
         second_contact: Whether the run ends, with ``Code.SECOND_CONTACT``, where the
             body reaches its base at a second place. That is looked for after each step,
-            on samples of both surfaces (:mod:`rollkane.dynamics.clearance`), by
-            diffrax's loop, with ``modes`` in C: a tenth to a few milliseconds a step,
-            tens where both surfaces are searched.
+            on samples of both surfaces (:mod:`rollkane.dynamics.clearance`): a tenth to
+            a few milliseconds a step, tens where both surfaces are searched.
         events: Events, or ready ones by their names (``"lift-off"``): steps end on
             them, and the result's ``events`` shows them. With them
             ``stepsize_controller``, ``adjoint`` and ``saveat`` cannot be chosen.
@@ -167,7 +165,7 @@ def simulate(
             *(scene, start, times, modes, solver, *looked_for), **steps
         )
     else:
-        foreign = {"second_contact": looks} | _of(chosen, _DIFFRAX_ALONE)
+        foreign = _of(chosen, _DIFFRAX_ALONE)
         if method == "native":
             _refuse("method", foreign)
         start, times = _checked(scene, start, times, coordinates)
@@ -182,7 +180,7 @@ def simulate(
             allowed=is_apart if looks else None,
             events=watched,
         )
-        kind = formulation, coordinates, type(solver)
+        kind = formulation, coordinates, type(solver), looks
         shown = functools.partial(_trajectory, watched, looks)
         refusal = without_native(solver, foreign)
         ready = ReadyCall(run, refusal, kind, watched, shown)
