@@ -54,7 +54,7 @@ REFUSED = {
     ),
     "times that fall": (
         lambda: rk.RecordedMotion([1.0, 0.5, 0.0], np.zeros(3)),
-        "RecordedMotion.time: must grow",
+        "RecordedMotion.time: is out of order",
     ),
     "a gap in the times": (
         lambda: rk.RecordedMotion([0.0, np.nan, 2.0], np.zeros(3)),
