@@ -18,7 +18,7 @@ from ..codegen.compile_effort import for_one_call
 from ..geometry.surfaces import AbstractPointSurface, AbstractSurface
 from ..kinematics.contact_place import check_surface
 from ..validation.checks import FieldError, flag, is_traced, real
-from ..validation.user_functions import GivenFunction, as_time
+from ..validation.user_functions import GivenFunction
 from .contact_functions import Shared, Slips, extended
 from .contact_rates import Axes, Touching, all_poses
 from .contact_start import (
@@ -30,8 +30,10 @@ from .contact_start import (
     root_of,
 )
 from .equations import reduced
+from .given_states import checked_state, known_system, time_of, times_of
 from .singular_states import refuse_start
 from .system import KaneState, KaneSystem, Numbers
+from .system_arguments import in_a_row
 
 
 class Frame(eqx.Module):
@@ -117,6 +119,8 @@ class RollingSystem(eqx.Module):
         Args:
             state: Coordinates and all speeds.
         """
+        field = "RollingSystem.eliminated_state.state"
+        state = checked_state(field, self.system, state)
         return KaneState(state.q, state.u[jnp.asarray(self.eliminated.independent)])
 
     def forces(self, time: Any, state: KaneState) -> ContactForces:
@@ -128,7 +132,7 @@ class RollingSystem(eqx.Module):
 
         Source: docs/theory.md, (11.7).
         """
-        return _along(_forces, self, time, state)
+        return _along("forces", _forces, self, time, state)
 
     def gaps(self, time: Any, state: KaneState) -> Float[Array, " k"]:
         """What is open of each contact: gap [m] or tilt of normals [rad], largest.
@@ -137,7 +141,7 @@ class RollingSystem(eqx.Module):
             time: [s], shape () or (T,).
             state: Coordinates and independent speeds, likewise.
         """
-        return _along(_gaps, self, time, state)
+        return _along("gaps", _gaps, self, time, state)
 
     def slips(self, time: Any, state: KaneState) -> Float[Array, " k"]:
         """Velocity between the material points of each contact [m/s], largest part.
@@ -146,7 +150,7 @@ class RollingSystem(eqx.Module):
             time: [s], shape () or (T,).
             state: Coordinates and independent speeds, likewise.
         """
-        return _along(_slips, self, time, state)
+        return _along("slips", _slips, self, time, state)
 
 
 def rolling_contacts(
@@ -180,8 +184,9 @@ def rolling_contacts(
 
     Source: docs/theory.md, (11.4) to (11.6).
     """
-    contacts = tuple(contacts)
-    t = as_time(time)
+    system = known_system("rolling_contacts.system", system)
+    contacts = in_a_row("rolling_contacts.contacts", contacts)
+    t = time_of("rolling_contacts.time", time)
     own = real("rolling_contacts.q", q, (system.coordinates,), "every coordinate")
     speeds = real("rolling_contacts.u", u, (system.speeds,), "every speed")
     if is_traced(system, contacts, own, speeds, t):
@@ -246,6 +251,7 @@ def _pairs(
                 example,
                 more,
                 "(t, q, u)",
+                "parameters" if system.shared is None else "shared",
             )
             for name, shape in shapes.items()
         ]
@@ -337,9 +343,13 @@ def _normal_rows(shared: Shared, normals: np.ndarray, count: int) -> np.ndarray:
     return found
 
 
-def _along(function: Any, rolling: RollingSystem, time: Any, state: KaneState) -> Any:
-    time = as_time(time) if jnp.ndim(time) == 0 else jnp.asarray(time)
-    return _mapped(function, rolling, time, state)
+def _along(
+    name: str, function: Any, rolling: RollingSystem, time: Any, state: KaneState
+) -> Any:
+    field = f"RollingSystem.{name}"
+    time = times_of(f"{field}.time", time)
+    given = f"{field}.state", rolling.system, state
+    return _mapped(function, rolling, time, checked_state(*given, lead=time.shape))
 
 
 @for_one_call

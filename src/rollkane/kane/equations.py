@@ -16,10 +16,15 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..geometry.small_linear import cross
-from ..validation.checks import FieldError, is_traced
-from ..validation.user_functions import as_time
 from .closure import kept_state, kept_well
 from .dependent_speeds import share_of
+from .given_states import (
+    checked_state,
+    coordinates_of,
+    known_system,
+    time_of,
+    with_auxiliary,
+)
 from .implied_rows import while_they_follow
 from .linear_solves import followed, inverse_of, next_to, solved
 from .partial_velocities import (
@@ -93,11 +98,15 @@ def kane_equations(
             are zero.
 
     Raises:
-        FieldError: another number of speeds, or known auxiliary ones that are not zero.
+        FieldError: another number of coordinates or speeds, or known auxiliary ones
+            that are not zero.
 
     Source: [B] (4); docs/theory.md, (9.1), (9.2).
     """
-    t, q, u = as_time(t), jnp.asarray(q), _with_auxiliary(system, u)
+    system = known_system("kane_equations.system", system)
+    t = time_of("kane_equations.t", t)
+    q = coordinates_of("kane_equations.q", system, q)
+    u = with_auxiliary("kane_equations.u", system, u)
     partials = partials_of(system, t, q)
     q_dot = partials.at("kinematics", u)
     rates = _rates(system, t, q, u, q_dot)
@@ -114,8 +123,11 @@ def kane_derivative(system: KaneSystem, t: ArrayLike, state: KaneState) -> KaneS
 
     Returns:
         Rates, as a state; NaN where rows that were left out do not follow any more.
+
+    Raises:
+        FieldError: a state of another shape.
     """
-    t = as_time(t)
+    system, t, state = _checked("kane_derivative", system, t, state)
     now = reduced(system, t, state)
     if system.implied is None:
         return now.rates()
@@ -136,8 +148,12 @@ def reactions(system: KaneSystem, t: ArrayLike, state: KaneState) -> Float[Array
         system: The system.
         t: Time [s].
         state: Coordinates and independent speeds.
+
+    Raises:
+        FieldError: a state of another shape.
     """
-    now = reduced(system, as_time(t), state)
+    system, t, state = _checked("reactions", system, t, state)
+    now = reduced(system, t, state)
     return now.with_auxiliary.T @ now.lacking
 
 
@@ -150,8 +166,12 @@ def kinetic_energy(
         system: The system.
         t: Time [s].
         state: Coordinates and independent speeds.
+
+    Raises:
+        FieldError: a state of another shape.
     """
-    partials = partials_of(system, as_time(t), state.q)
+    system, t, state = _checked("kinetic_energy", system, t, state)
+    partials = partials_of(system, t, state.q)
     return energy_of(system, partials, speeds_of(system, partials, state.u).u)
 
 
@@ -188,9 +208,22 @@ def all_speeds(
         system: The system.
         t: Time [s].
         state: Coordinates and independent speeds.
+
+    Raises:
+        FieldError: a state of another shape.
     """
-    partials = partials_of(system, as_time(t), state.q)
+    system, t, state = _checked("all_speeds", system, t, state)
+    partials = partials_of(system, t, state.q)
     return speeds_of(system, partials, state.u).u[: system.speeds]
+
+
+def _checked(
+    function: str, system: object, t: Any, state: object
+) -> tuple[KaneSystem, Array, KaneState]:
+    """What a function was given, whose name the errors have."""
+    known = known_system(f"{function}.system", system)
+    time = time_of(f"{function}.t", t)
+    return known, time, checked_state(f"{function}.state", known, state)
 
 
 class Reduced(NamedTuple):
@@ -307,29 +340,6 @@ def speeds_of(
         follow = jnp.where(share_of(system, C) > 1.0, follow, jnp.nan)
     u = u + follow @ partials.at("constraints", u)
     return Speeds(u, free + follow @ (C @ free), follow)
-
-
-def _with_auxiliary(system: KaneSystem, u: Numbers) -> Float[Array, " m"]:
-    """All speeds, the auxiliary ones behind the others."""
-    known = None if is_traced(u) else np.asarray(u)
-    u, count = jnp.asarray(u), system.auxiliary
-    if u.shape not in ((system.speeds,), (system.speeds + count,)):
-        raise FieldError(
-            "kane_equations.u",
-            u.shape,
-            f"must have shape ({system.speeds},)",
-            "give every speed, dependent ones included",
-        )
-    if u.shape[0] == system.speeds:
-        return jnp.concatenate([u, jnp.zeros(count, u.dtype)]) if count else u
-    if known is not None and known[system.speeds :].any():
-        raise FieldError(
-            "kane_equations.u",
-            known,
-            "has auxiliary speeds that are not zero",
-            "leave them out: they are only thought of, to give the reactions",
-        )
-    return u
 
 
 def _places(size: int, chosen: Iterable[int], dtype: Any) -> Float[Array, "m k"]:

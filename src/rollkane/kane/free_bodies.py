@@ -13,7 +13,8 @@ from ..geometry.rotations import quaternion_rates, rotation_matrix
 from ..validation.checks import FieldError, is_traced, real
 from .contact_system import Frame
 from .parts import Load, RigidBody
-from .system import KaneSystem, in_a_row
+from .system import KaneSystem
+from .system_arguments import in_a_row
 
 
 class FreeBodies(NamedTuple):

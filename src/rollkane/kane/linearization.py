@@ -15,8 +15,9 @@ from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import as_time
 from .equations import Reduced, reduced
+from .given_states import checked_state, known_system
 from .singular_states import Examined, examined, refuse
-from .system import KaneState, KaneSystem, checked_state
+from .system import KaneState, KaneSystem
 
 # By places and inputs; the rates themselves, and the equations that they come from.
 _Derivatives: TypeAlias = tuple[tuple[Array, Array], tuple[Array, Reduced]]
@@ -73,6 +74,7 @@ def linearize(
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
     """
+    system = known_system("linearize.system", system)
     if system.by_multipliers:
         raise FieldError(
             "linearize.system",
@@ -81,7 +83,7 @@ def linearize(
             "chosen as dependent",
             "name dependent speeds (of rolling contacts: RollingSystem.eliminated)",
         )
-    state = checked_state("linearize.state", system, state)
+    state = checked_state("linearize.state", system, state, float)
     known = not is_traced(system, t, state)
     if known and not all(np.isfinite(x).all() for x in (state.q, state.u)):
         problem, remedy = "must be finite", "give a state that the motion can have"

@@ -29,9 +29,10 @@ from .equations import (
     kinetic_energy,
     reactions,
 )
+from .given_states import checked_state, known_system
 from .implied_rows import lost
 from .singular_states import refuse_start
-from .system import KaneState, KaneSystem, checked_state
+from .system import KaneState, KaneSystem
 
 
 class KaneTrajectory(eqx.Module):
@@ -169,14 +170,14 @@ def simulate(
         adjoint=adjoint,
         progress_meter=progress_meter,
     )
-    check_kinks(_known_system(system).kinks, stepsize_controller)
+    check_kinks(known_system("simulate.system", system).kinks, stepsize_controller)
     given = {
         "stepsize_controller": stepsize_controller is not None,
         "adjoint": adjoint is not None,
         "progress_meter": progress_meter is not None,
     }
     refusal = without_native(solver, given)
-    start = checked_state("simulate.start", system, start)
+    start = checked_state("simulate.start", system, start, float)
     dtype = start.q.dtype
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
@@ -294,16 +295,6 @@ def _corners(system: KaneSystem) -> tuple[Array | None, int]:
 
 
 _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
-
-
-def _known_system(system: object) -> KaneSystem:
-    if isinstance(system, KaneSystem):
-        return system
-    kind = type(system).__name__
-    scene = kind == "Scene"
-    remedy = "integrate it by rollkane.simulate" if scene else "give a KaneSystem"
-    problem = f"must be a KaneSystem, not a {kind}"
-    raise FieldError("simulate.system", f"a {kind}", problem, remedy)
 
 
 @for_one_call

@@ -10,8 +10,8 @@ from ..dynamics.bodies import checked_inertia
 from ..validation.checks import FieldError, is_traced, positive
 from ..validation.user_functions import GivenFunction
 
-# Wraps one: its field for errors, the function, the shape of its value.
-Wrap: TypeAlias = Callable[[str, Any, tuple[int, ...]], GivenFunction]
+# Wraps one: its field for errors, the function, the shape of its value if it is known.
+Wrap: TypeAlias = Callable[[str, Any, tuple[int, ...] | None], GivenFunction]
 
 
 class Particle(eqx.Module):

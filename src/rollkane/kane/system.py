@@ -16,9 +16,17 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ..validation.checks import FieldError, checked_kinks, real_numbers, whole
+from ..validation.checks import FieldError, checked_kinks
 from ..validation.user_functions import GivenFunction, as_floats, numbers_of
-from .parts import Load, Particle, RigidBody, Wrap, checked_load, checked_part
+from .parts import Load, Particle, RigidBody, checked_load, checked_part
+from .system_arguments import (
+    bound_by,
+    chosen_numbers,
+    counts_of,
+    in_a_row,
+    names_of_rows,
+    one_each,
+)
 
 # What a user gives for numbers: one, an array, sequences of them.
 Numbers: TypeAlias = ArrayLike | Sequence[Any]
@@ -149,21 +157,25 @@ class KaneSystem(eqx.Module):
                 masses or inertias that no body can have, a configuration that looks at
                 the speeds.
         """
-        sizes = _counts(coordinates=coordinates, speeds=speeds, auxiliary=auxiliary)
+        sizes = counts_of(coordinates=coordinates, speeds=speeds, auxiliary=auxiliary)
         self.coordinates, self.speeds, self.auxiliary = sizes
         self.parameters = as_floats(parameters)
         self.kinks, self.side = checked_kinks("KaneSystem.kinks", kinks), None
         example = (jnp.zeros(()), jnp.zeros(coordinates), jnp.zeros(speeds + auxiliary))
-        more = self.parameters
+        more, source = self.parameters, "parameters"
         self.shared = None
         if shared is not None:
             self.shared = GivenFunction(
                 "KaneSystem.shared", shared, None, example, more, "(t, q, u)"
             )
             more = cast(Any, eqx.filter_eval_shape(self.shared, *example, more))
+            source = "shared"
 
-        def motion(field: str, function: Any, shape: tuple[int, ...]) -> GivenFunction:
-            return GivenFunction(field, function, shape, example, more, "(t, q, u)")
+        def motion(
+            field: str, function: Any, shape: tuple[int, ...] | None
+        ) -> GivenFunction:
+            arguments = example, more, "(t, q, u)", source
+            return GivenFunction(field, function, shape, *arguments)
 
         self.kinematics = motion("KaneSystem.kinematics", kinematics, (coordinates,))
         self.parts = tuple(
@@ -179,20 +191,17 @@ class KaneSystem(eqx.Module):
             field, size = "KaneSystem.generalized_forces", example[2].shape
             self.generalized_forces = motion(field, generalized_forces, size)
         self.by_multipliers = dependent is None
-        self.dependent = _chosen("dependent", dependent, speeds)
+        self.dependent = chosen_numbers("dependent", dependent, speeds)
         if constraints is not None and self.by_multipliers:
-            self.constraints = GivenFunction(
-                *("KaneSystem.constraints", constraints, None, example, more),
-                "(t, q, u)",
-            )
+            self.constraints = motion("KaneSystem.constraints", constraints, None)
         else:
-            self.constraints = _bound(
+            self.constraints = bound_by(
                 motion, "constraints", constraints, "dependent", self.dependent
             )
-        self.dependent_coordinates = _chosen(
+        self.dependent_coordinates = chosen_numbers(
             "dependent_coordinates", dependent_coordinates, coordinates
         )
-        self.configuration = _bound(
+        self.configuration = bound_by(
             motion,
             "configuration",
             configuration,
@@ -203,10 +212,10 @@ class KaneSystem(eqx.Module):
         if projection is not None:
             field = "KaneSystem.projection"
             self.projection = motion(field, projection, (coordinates,))
-        self.implied, self.implied_names = None, tuple(implied_names)
-        if implied is not None:
-            count = len(self.implied_names)
-            self.implied = motion("KaneSystem.implied", implied, (count,))
+        self.implied_names = names_of_rows(implied_names)
+        self.implied = one_each(
+            motion, "implied", implied, "implied_names", self.implied_names
+        )
         _refuse_speeds(self, configuration, *example)
 
     def more(self, t: Array, q: Array, u: Array) -> Any:
@@ -256,92 +265,6 @@ class KaneState(eqx.Module):
 
     q: Float[Array, " n"]
     u: Float[Array, " m"]
-
-
-def in_a_row(field: str, given: Any) -> tuple[Any, ...]:
-    """Several, as a tuple.
-
-    Raises:
-        FieldError: it is one, and not in a row.
-    """
-    try:
-        return tuple(given)
-    except TypeError as error:
-        name = field.rpartition(".")[2]
-        problem, remedy = "must be several in a row", f"give a list, {name}=[...]"
-        raise FieldError(field, given, problem, remedy) from error
-
-
-def checked_state(field: str, system: KaneSystem, state: object) -> KaneState:
-    """A state of a system.
-
-    Raises:
-        FieldError: another kind of value, or of another shape.
-    """
-    if not isinstance(state, KaneState):
-        problem, remedy = "must be a KaneState", "give KaneState(q, u)"
-        raise FieldError(field, state, problem, remedy)
-    given = {"q": state.q, "u": state.u}
-    checked = {
-        name: real_numbers(f"{field}.{name}", x, "give floats")
-        for name, x in given.items()
-    }
-    # a known array of JAX's stays one in the middle of a trace
-    q, u = (
-        jnp.asarray(x if eqx.is_array(x) else checked[name], float)
-        for name, x in given.items()
-    )
-    wanted = {"q": (system.coordinates,), "u": (len(system.independent),)}
-    for name, array in (("q", q), ("u", u)):
-        if array.shape != wanted[name]:
-            raise FieldError(
-                f"{field}.{name}",
-                array.shape,
-                f"must have shape {wanted[name]}",
-                "give every coordinate, and the independent speeds alone",
-            )
-    return KaneState(q, u)
-
-
-def _counts(**given: Any) -> tuple[int, ...]:
-    """How many of each there are: of speeds one at least."""
-    return tuple(
-        whole(f"KaneSystem.{name}", count, int(name == "speeds"), "say how many")
-        for name, count in given.items()
-    )
-
-
-def _chosen(name: str, numbers: Iterable[int] | None, count: int) -> tuple[int, ...]:
-    """Different numbers of speeds or coordinates; None: none."""
-    numbers = () if numbers is None else numbers
-    chosen = tuple(int(k) for k in in_a_row(f"KaneSystem.{name}", numbers))
-    if len(set(chosen)) != len(chosen) or not all(0 <= k < count for k in chosen):
-        raise FieldError(
-            f"KaneSystem.{name}",
-            numbers,
-            "must be different numbers of those that there are",
-            f"give numbers from 0 to {count - 1}",
-        )
-    return chosen
-
-
-def _bound(
-    motion: Wrap,
-    name: str,
-    function: Motion | None,
-    of: str,
-    chosen: tuple[int, ...],
-) -> GivenFunction | None:
-    """Constraints, one for each number that they determine."""
-    if function is None and chosen:
-        problem, remedy = "are not determined by anything", f"give {name}, one for each"
-        raise FieldError(f"KaneSystem.{of}", chosen, problem, remedy)
-    if function is None:
-        return None
-    if not chosen:
-        problem, remedy = f"does not say what {name} determines", "give as many numbers"
-        raise FieldError(f"KaneSystem.{of}", chosen, problem, remedy)
-    return motion(f"KaneSystem.{name}", function, (len(chosen),))
 
 
 def _refuse_speeds(

@@ -14,6 +14,7 @@ from ..hybrid.modes import HybridScene, Modes, in_one_law
 from ..kinematics.coordinates import State
 from ..simulation.ensemble_members import Members
 from ..validation.checks import FieldError
+from ..validation.function_errors import MissingEntryError, called, untraceable
 from .draws import Draws
 from .moded_views import Shown, rates, state_at, value_of
 
@@ -165,9 +166,14 @@ def made(make: Make, draw: Any, modes: Modes | None) -> tuple[Scene, State]:
     """Scene and start of a draw: with modes, of ``make`` or else these, in them.
 
     Raises:
-        FieldError: something else comes out, or modes that are given already.
+        FieldError: something else comes out, modes that are given already, or it asks
+            for what is not drawn.
     """
-    found: Any = make(draw)
+    try:
+        found: Any = called(make, draw)
+    except MissingEntryError as error:
+        missing = untraceable("Study.make", make, error, _REMEDY, "distributions")
+        raise missing from error
     if not isinstance(found, tuple) or len(cast(Any, found)) not in (2, 3):
         raise FieldError("Study.make", found, "is no (scene, start)", _REMEDY)
     scene, start, *own = cast("tuple[Any, ...]", found)

@@ -19,6 +19,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from .checks import FieldError, is_traced
+from .function_errors import ReturnedShapeError, called, untraceable
 from .program_digest import digest_of_traced
 
 # a program, the structure of its results and of what is not an array among them
@@ -186,7 +187,7 @@ def _call(
     arguments: list[Any] = list(coordinates) if spread else [coordinates]
     if takes_parameters:
         arguments.append(parameters)
-    return function(*arguments)
+    return called(function, *arguments)
 
 
 class GivenFunction(eqx.Module):
@@ -205,6 +206,7 @@ class GivenFunction(eqx.Module):
         example: tuple[Any, ...],
         more: Any,
         meaning: str,
+        source: str = "parameters",
     ):
         """Wrap it; refused if it does not give ``shape``.
 
@@ -215,6 +217,7 @@ class GivenFunction(eqx.Module):
             example: Arguments of the right shapes.
             more: What it gets behind them if it cannot be called without.
             meaning: Of the arguments, for errors: ``(t, q, u)``.
+            source: Where ``more`` comes from, for errors.
 
         Raises:
             FieldError: no function, or one of another shape or signature.
@@ -244,10 +247,9 @@ class GivenFunction(eqx.Module):
             trace = cast("_Trace", eqx.filter_make_jaxpr(call))
             program, value, _ = trace(function, *example)
         except Exception as error:
-            problem = f"cannot be traced by JAX ({error})"
-            raise FieldError(field, function, problem, remedy) from error
+            raise untraceable(field, function, error, remedy, source) from error
         if shape is not None and getattr(value, "shape", None) != shape:
-            raise FieldError(field, function, f"returns {_form(value)}", remedy)
+            raise ReturnedShapeError(field, function, value, remedy)
         self._digest = digest_of_traced(program)
         if is_traced(*program.consts):
             # a closure would hide a traced number from differentiation
@@ -283,7 +285,7 @@ def _name(function: Any) -> str:
 
 
 def _value(takes_more: bool, function: Callable[..., Any], *arguments: Any) -> Any:
-    value = function(*(arguments if takes_more else arguments[:-1]))
+    value = called(function, *(arguments if takes_more else arguments[:-1]))
     if isinstance(value, list):
         parts = cast("list[Any]", value)
         value = jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in parts])
@@ -344,21 +346,9 @@ def check_output(
     try:
         result = jax.eval_shape(function, numbers_of(takes))
     except Exception as error:
-        raise FieldError(
-            field, function, f"cannot be traced by JAX ({error})", remedy
-        ) from error
+        raise untraceable(field, function, error, remedy) from error
     if getattr(result, "shape", None) != shape:
-        raise FieldError(field, function, f"returns {_form(result)}", remedy)
-
-
-def _form(value: Any) -> str:
-    """What a user's function returned instead of one array, in words."""
-    if hasattr(value, "shape"):
-        return f"shape {value.shape}"
-    kind = type(value).__name__
-    if isinstance(value, list | tuple):
-        return f"a {kind} of {len(cast('list[Any]', value))} values"
-    return f"a {kind}"
+        raise ReturnedShapeError(field, function, result, remedy)
 
 
 def check_rotation(
