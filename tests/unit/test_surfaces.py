@@ -7,7 +7,8 @@ import pytest
 
 import rollkane as rk
 from rollkane.geometry.local_geometry import travel
-from rollkane.geometry.surfaces import AbstractPointSurface
+from rollkane.geometry.surfaces import AbstractPointSurface, Ball
+from rollkane.geometry.surfaces.kinds import _FEW
 
 # first and second derivatives of functions of order one: 1e-12 is 1e4 roundings
 TIGHT = 1e-12
@@ -345,3 +346,22 @@ def test_bad_input_names_field_value_and_remedy(name):
     assert error.field == field
     assert error.remedy
     assert "got" in str(error)
+
+
+@pytest.mark.parametrize("radius", [0.1, 3.0])  # few samples are near, and most are
+def test_distances_of_points_in_a_ball_are_those_of_all_samples(radius):
+    bent = lambda p, q: jnp.stack([p, q, 0.2 * jnp.sin(3.0 * p) * jnp.cos(2.0 * q)])
+    surface = rk.Parametric(bent, domain=((-2.0, 2.0), (-2.0, 2.0)))
+    draw = np.random.default_rng(3)
+    center = np.array([0.4, -0.7, 0.3])
+    away = draw.normal(size=(200, 3))
+    # in the ball, many of them next to its surface
+    lengths = radius * draw.uniform(size=(200, 1)) ** (1 / 9)
+    away = away / np.linalg.norm(away, axis=1, keepdims=True) * lengths
+    points = jnp.asarray(center + away)
+    samples = np.asarray(jax.vmap(surface.point)(jnp.asarray(surface.samples())))
+    far = np.linalg.norm(samples - center, axis=1)
+    assert (np.sum(far <= far.min() + 2.0 * radius) <= _FEW) == (radius < 1.0)
+    within = Ball(jnp.asarray(center), jnp.asarray(radius))
+    near = jax.vmap(surface.distances(points.dtype, within))(points)
+    assert (near == jax.vmap(surface.distances(points.dtype))(points)).all()

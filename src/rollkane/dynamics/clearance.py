@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..codegen.compile_effort import for_one_call
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec, matvec_transposed, norm
-from ..geometry.surfaces import AbstractSurface
+from ..geometry.surfaces import AbstractSurface, Ball
 from ..kinematics.base_motion import BaseKinematics
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import FlyingState
@@ -170,7 +170,7 @@ def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
     sides: list[_Side] = []
     dtype = origin.dtype
     if _has_inside(base, scene):
-        of_base = base.distances(dtype)
+        of_base = base.distances(dtype, Ball(origin, reach_of(body, dtype)))
         level: _Level = lambda x: of_base(placed(x))
         sides.append(_Side(body, level, placed, base.searches_distance, dtype))
     if _has_inside(body, scene) and not base.is_flat:

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ..codegen.jaxpr_types import Shaped
 from ..codegen.tracing import shared_in_c
-from ..geometry.surfaces import AbstractSurface
 from ..kinematics.coordinates import FlyingState
 from .clearance import lowest_places, may_touch_twice, reach_of
 from .nearest_points import (
@@ -64,10 +64,11 @@ def nearest_anywhere(
     if not may_touch_twice(scene):
         return nearest(scene, t, state)
     fixed = jax.lax.stop_gradient((scene, t, state))
-    lowest = _lowest_of_samples(*fixed)
-    away = fixed[0].base.surface.continued_to(fixed[2].contact_on_base)
-    if away is not None:
-        lowest = _with_what_is_beyond(*fixed, *away, lowest)
+    shift = scene.base.surface.beyond_samples(fixed[2].contact_on_base)
+    if shift is None:
+        lowest = _lowest_of_samples(*fixed)
+    else:
+        lowest = _with_what_is_beyond(*fixed, shift)
     gap, closest = nearest_from(scene, t, state, lowest.found)
     stays: Callable[[Array, Array], Array] = lambda a, b: jnp.where(lowest.strays, a, b)
     on_base, on_body = places_of(closest)
@@ -101,47 +102,57 @@ def _lowest_of_samples(
         return _Lowest(found._replace(places=places), gap, strays)
 
     # one after the other: a program of one is compiled in a fraction of the time
-    lowest = cast(_Lowest, jax.lax.map(near, (gaps, starts)))
+    return _best_of(cast(_Lowest, jax.lax.map(near, (gaps, starts))))
+
+
+def _best_of(lowest: _Lowest) -> _Lowest:
+    """Of several the lowest."""
     best = jnp.argmin(lowest.gap)
     at_best: Callable[[Array], Array] = lambda x: x[best]
     return jax.tree.map(at_best, lowest)
 
 
 def _with_what_is_beyond(
-    scene: Scene,
-    t: Float[Array, ""],
-    state: FlyingState,
-    around: AbstractSurface,
-    shift: Float[Array, " k"],
-    lowest: _Lowest,
+    scene: Scene, t: Float[Array, ""], state: FlyingState, shift: Float[Array, " k"]
 ) -> _Lowest:
-    """The lower of what was found, and of what is beyond the samples of the base.
+    """What is found from the samples of a base, or beyond them, where that is lower.
 
     Args:
         scene: What flies over what.
         t: Time [s].
-        state: Where its base's coordinates are is where that is looked at.
-        around: The base with its samples there.
-        shift: From its coordinates to the base's; zero where there are samples.
-        lowest: What was found from the samples.
+        state: Where its base's coordinates are is where else is looked.
+        shift: From the samples to there; zero where they are among them.
     """
-    of_base: Callable[[Any], Any] = lambda tree: tree.base.surface
-    there = eqx.tree_at(of_base, scene, around)
-    moved = eqx.tree_at(
-        lambda s: s.contact_on_base, state, state.contact_on_base - shift
-    )
+    about: Callable[[Array], _Lowest] = lambda x: _lowest_about(scene, t, state, x)
+    like = cast(_Lowest, jax.eval_shape(about, shift))
+    zeros: Callable[[Shaped], Array] = lambda x: jnp.zeros(x.shape, x.dtype)
+    nothing = jax.tree.map(zeros, like)
+    infinite = jnp.full_like(nothing.sampled, jnp.inf)
+    nothing = nothing._replace(sampled=infinite, strays=jnp.ones_like(nothing.strays))
 
-    def beyond() -> _Lowest:
-        other = _lowest_of_samples(there, t, moved)
-        on_base, on_body = other.found.places
-        found = other.found._replace(places=(on_base + shift, on_body))
-        other = other._replace(found=found)
-        lower: Callable[[Array, Array], Array] = lambda a, b: jnp.where(
-            other.gap < lowest.gap, a, b
-        )
-        return jax.tree.map(lower, other, lowest)
+    def look(place: tuple[Array, Bool[Array, ""]]) -> _Lowest:
+        by, looks = place
+        return cast(_Lowest, jax.lax.cond(looks, about, lambda _: nothing, by))
 
-    return cast(_Lowest, jax.lax.cond(jnp.any(shift != 0.0), beyond, lambda: lowest))
+    # a loop, of which a program has one
+    shifts = jnp.stack([jnp.zeros_like(shift), shift])
+    is_beyond = jnp.any(shift != 0.0)
+    looks = jnp.stack([jnp.ones_like(is_beyond), is_beyond])
+    return _best_of(cast(_Lowest, jax.lax.map(look, (shifts, looks))))
+
+
+def _lowest_about(
+    scene: Scene, t: Float[Array, ""], state: FlyingState, shift: Float[Array, " k"]
+) -> _Lowest:
+    """What is found with the samples of the base elsewhere; places are the base's."""
+    base = scene.base.surface.continued(shift)
+    there = eqx.tree_at(lambda s: s.base.surface, scene, base)
+    places = state.contact_on_base - shift
+    moved = eqx.tree_at(lambda s: s.contact_on_base, state, places)
+    found = _lowest_of_samples(there, t, moved)
+    on_base, on_body = found.found.places
+    of_base = found.found._replace(places=(on_base + shift, on_body))
+    return found._replace(found=of_base)
 
 
 def at_nearest(

@@ -1,6 +1,7 @@
 """The catalogue of surfaces, for the body and for the base."""
 
 from .abstract_surface import AbstractSurface as AbstractSurface
+from .abstract_surface import Ball as Ball
 from .catalogue import Cylinder as Cylinder
 from .catalogue import Ellipsoid as Ellipsoid
 from .catalogue import Plane as Plane

@@ -5,7 +5,7 @@ The two ways in which it can carry a contact point are in :mod:`.kinds`.
 
 import abc
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,6 +15,13 @@ from jaxtyping import Array, Float
 from ...validation.shown import described
 from ..local_geometry import LocalGeometry
 from .directions import NormalHeading, PointOfNormal, Range, longitude_latitude
+
+
+class Ball(NamedTuple):
+    """Where points are: its center and its radius [m]."""
+
+    center: Float[Array, "3"]
+    radius: Float[Array, ""]
 
 
 class AbstractSurface(eqx.Module):
@@ -157,25 +164,34 @@ class AbstractSurface(eqx.Module):
         del point
 
     def distances(
-        self, dtype: Any
+        self, dtype: Any, within: Ball | None = None
     ) -> Callable[[Float[Array, "3"]], Float[Array, ""] | None]:
         """:meth:`signed_distance`, of many points.
 
         Where that searches, what is the same for all points is computed here, once.
+
+        Args:
+            dtype: Of places.
+            within: Where all of the points are; None: anywhere.
         """
-        del dtype
+        del dtype, within
         return self.signed_distance
 
-    def continued_to(
-        self, u: Float[Array, " k"]
-    ) -> tuple["AbstractSurface", Float[Array, " k"]] | None:
-        """The same surface with its samples about a place beyond them.
+    def beyond_samples(self, u: Float[Array, " k"]) -> Float[Array, " k"] | None:
+        """By what :meth:`continued` has samples about a place beyond those there are.
 
-        Of a surface that goes on there, for searches; with what its coordinates need to
-        be those of this one, zero where the place is among the samples. None: there is
-        nothing beyond, or the distance from it takes no search.
+        Zero where the place is among them. None: there is nothing beyond, or the
+        distance from the surface takes no search.
         """
         del u
+
+    def continued(self, shift: Float[Array, " k"]) -> "AbstractSurface":
+        """The same surface, for searches, with its samples elsewhere.
+
+        Args:
+            shift: What its coordinates need to be those of this one.
+        """
+        raise NotImplementedError(f"{type(self).__name__} ends with its samples")
 
     def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
         """Positive while a contact point is on the surface; None: it has no end.

@@ -6,6 +6,7 @@ other surface has *explicit contact coordinates*, on a manifold without poles.
 """
 
 import abc
+import functools
 from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
@@ -16,8 +17,8 @@ from jaxtyping import Array, Float
 
 from ..local_geometry import LocalGeometry, from_chart, from_normal
 from ..rotations import tangent_pair
-from ..small_linear import matmul, matvec, matvec_transposed, norm, solve_2x2
-from .abstract_surface import AbstractSurface
+from ..small_linear import dot, matmul, matvec, matvec_transposed, norm, solve_2x2
+from .abstract_surface import AbstractSurface, Ball
 from .directions import (
     SPHERE,
     SPHERE_SAMPLES,
@@ -31,6 +32,9 @@ from .directions import (
     longitude_latitude,
     sphere_of_directions,
 )
+
+# Samples of a surface that are enough to look through for each of many points.
+_FEW = 128
 
 # local rates at a place, of one step of a search
 _Step = Callable[[LocalGeometry], Float[Array, "2"]]
@@ -126,18 +130,22 @@ class AbstractPointSurface(AbstractSurface):
         return self._refine(seed, _step_to(fixed), _newton_step_to(point))
 
     def searching(
-        self, dtype: Any
+        self, dtype: Any, within: Ball | None = None
     ) -> Callable[[Float[Array, "3"]], tuple[Array, LocalGeometry]]:
         """A search for the nearest surface point about a point; no derivatives.
 
         A few steps; what is the same for all points is computed here, once.
+
+        Args:
+            dtype: Of places.
+            within: Where all of the points are; None: anywhere.
         """
-        seeds, places = self._sampled(dtype)
+        next_to = _nearest_of(*self._sampled(dtype), within)
         longest = self._search_step()
 
         def nearest(point: Float[Array, "3"]) -> tuple[Array, LocalGeometry]:
             point = jax.lax.stop_gradient(point)
-            step, seed = _step_to(point), _next_to(point, seeds, places)
+            step, seed = _step_to(point), next_to(point)
 
             def advance(u: Array, _: None) -> tuple[Array, None]:
                 return self._advanced(u, step, longest), None
@@ -153,7 +161,7 @@ class AbstractPointSurface(AbstractSurface):
         return nearest
 
     def _nearest_sample(self, point: Float[Array, "3"]) -> Float[Array, " k"]:
-        return _next_to(point, *self._sampled(point.dtype))
+        return _nearest_of(*self._sampled(point.dtype))(point)
 
     def _sampled(self, dtype: Any) -> tuple[Float[Array, "n k"], Float[Array, "n 3"]]:
         """Coordinates over the whole surface, and their points [m]."""
@@ -303,12 +311,38 @@ class AbstractPairSurface(AbstractPointSurface):
         return grid_spacing(self.chart_domain)
 
 
-def _next_to(
-    point: Float[Array, "3"], seeds: Float[Array, "n k"], places: Float[Array, "n 3"]
-) -> Float[Array, " k"]:
-    """Of samples the one whose place is nearest to a point."""
-    gaps = jax.vmap(norm)(places - point[None])
-    return seeds[jnp.argmin(jnp.where(jnp.isfinite(gaps), gaps, jnp.inf))]
+def _nearest_of(
+    seeds: Float[Array, "n k"], places: Float[Array, "n 3"], within: Ball | None = None
+) -> Callable[[Float[Array, "3"]], Float[Array, " k"]]:
+    """Of samples the one whose place is nearest to a point.
+
+    To points in a small ball only those are that are not farther from its center than
+    the nearest is, and twice its radius: mostly a few.
+    """
+    known = jnp.all(jnp.isfinite(places), axis=1, keepdims=True)
+    places = jnp.where(known, places, jnp.inf)
+
+    def squares(point: Float[Array, "3"], places: Float[Array, "n 3"]) -> Array:
+        off = places - point[None]
+        return jax.vmap(dot)(off, off)
+
+    def next_to(seeds: Array, places: Array, point: Array) -> Array:
+        return seeds[jnp.argmin(squares(point, places))]
+
+    if within is None or seeds.shape[0] <= _FEW:
+        return functools.partial(next_to, seeds, places)
+    away = squares(jax.lax.stop_gradient(within.center), places)
+    farthest = jnp.sqrt(jnp.min(away)) + 2.0 * within.radius
+    count = jnp.sum(away <= farthest * farthest)
+    _, first = jax.lax.top_k(-away, _FEW)
+    few = seeds[first], places[first]
+
+    def found(point: Float[Array, "3"]) -> Float[Array, " k"]:
+        of_few = functools.partial(next_to, *few)
+        of_all = functools.partial(next_to, seeds, places)
+        return cast(Array, jax.lax.cond(count <= _FEW, of_few, of_all, point))
+
+    return found
 
 
 def _step_to(target: Float[Array, "3"]) -> _Step:

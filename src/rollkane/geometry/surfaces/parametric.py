@@ -14,6 +14,7 @@ from ...validation.user_functions import UserFunction, check_output
 from ..local_geometry import LocalGeometry, from_chart
 from ..rotations import tangent_pair
 from ..small_linear import dot, norm, sign
+from .abstract_surface import Ball
 from .directions import (
     SPHERE,
     SPHERE_SAMPLES,
@@ -161,19 +162,20 @@ class Parametric(AbstractPointSurface):
         """
         return self.distances(point.dtype)(point)
 
-    def continued_to(
-        self, u: Float[Array, " k"]
-    ) -> tuple["Parametric", Float[Array, " k"]] | None:
-        """The surface with its samples about a pair beyond the domain."""
-        if self.of_direction:
-            return None
-        shift = beyond(u, self.domain)
-        moved = MovedFunction(self.position, shift)
-        return eqx.tree_at(lambda s: s.position, self, moved), shift
+    def beyond_samples(self, u: Float[Array, " k"]) -> Float[Array, " k"] | None:
+        """From the middle of the domain to a pair beyond."""
+        return None if self.of_direction else beyond(u, self.domain)
 
-    def distances(self, dtype: Any) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
+    def continued(self, shift: Float[Array, " k"]) -> "Parametric":
+        """The surface with its domain elsewhere."""
+        moved = MovedFunction(self.position, shift)
+        return eqx.tree_at(lambda s: s.position, self, moved)
+
+    def distances(
+        self, dtype: Any, within: Ball | None = None
+    ) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
         """The same, of many points."""
-        nearest = self.searching(dtype)
+        nearest = self.searching(dtype, within)
 
         def distance(point: Float[Array, "3"]) -> Float[Array, ""]:
             u, place = nearest(point)

@@ -14,6 +14,7 @@ from ...validation.checks import flag
 from ...validation.user_functions import UserFunction, check_output
 from ..local_geometry import LocalGeometry, from_chart
 from ..small_linear import components, dot, norm, sign
+from .abstract_surface import Ball
 from .directions import (
     SPHERE_SAMPLES,
     SPHERE_SPACING,
@@ -226,16 +227,17 @@ class Revolution(AbstractPointSurface):
             return None
         return self.domain[1] - self.domain[0] - norm(u)
 
-    def continued_to(
-        self, u: Float[Array, " k"]
-    ) -> tuple["Revolution", Float[Array, " k"]] | None:
-        """Without poles: the surface with its samples about a pair beyond."""
+    def beyond_samples(self, u: Float[Array, " k"]) -> Float[Array, " k"] | None:
+        """Without poles: from the middle of the meridian to a pair beyond its ends."""
         if any(self.poles):
             return None
         shift = beyond(u[:1], [self.domain])
-        moved = MovedFunction(self.profile, shift)
-        around = jnp.concatenate([shift, jnp.zeros_like(shift)])
-        return eqx.tree_at(lambda s: s.profile, self, moved), around
+        return jnp.concatenate([shift, jnp.zeros_like(shift)])
+
+    def continued(self, shift: Float[Array, " k"]) -> "Revolution":
+        """The surface with another part of the meridian."""
+        moved = MovedFunction(self.profile, shift[:1])
+        return eqx.tree_at(lambda s: s.profile, self, moved)
 
     def samples(self) -> np.ndarray:
         """Coordinates over the whole domain of the meridian and once round."""
@@ -270,8 +272,11 @@ class Revolution(AbstractPointSurface):
         """
         return self.distances(point.dtype)(point)
 
-    def distances(self, dtype: Any) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
+    def distances(
+        self, dtype: Any, within: Ball | None = None
+    ) -> Callable[[Float[Array, "3"]], Float[Array, ""]]:
         """The same, of many points."""
+        del within  # a meridian has few samples
         first, last = self.domain
         meridian = meridian_of(self.profile)
         seeds = jnp.linspace(first, last, DENSE, dtype=dtype)
