@@ -63,6 +63,84 @@ def test_a_place_without_its_states(own, supported):
         rk.place(SCENE, LEVEL, STILL, STILL, supported=given)
 
 
+TORUS = rk.Body(0.5, 1e-3 * np.eye(3), rk.Torus(0.08, 0.03))
+FOREIGN = {
+    "of a body with contact coordinates": (
+        lambda own: rk.Scene(
+            SHELL, supported=rk.RollingBody(TORUS, rk.Sphere(0.29, inside=True))
+        ),
+        lambda own: own,
+        "[0].contact_on_body",
+        (0,),
+    ),
+    "with a body of its own inside": (
+        lambda own: SCENE,
+        lambda own: eqx.tree_at(lambda s: s.supported, own, (own,)),
+        "[0].supported",
+        "1 states",
+    ),
+    "that lacks what rolls inside": (
+        lambda own: rk.Scene(
+            rk.Body(9.0, 2.0 * np.eye(3), rk.Sphere(0.9)),
+            supported=rk.RollingBody(
+                SHELL, rk.Sphere(0.8, inside=True), supported=INSIDE
+            ),
+        ),
+        lambda own: own,
+        "[0].supported",
+        "0 states",
+    ),
+    "in a batch": (
+        lambda own: SCENE,
+        lambda own: jax.tree.map(lambda x: jnp.stack([x, x]), own),
+        "[0].angular_velocity",
+        (2, 3),
+    ),
+    "that slips": (
+        lambda own: SCENE,
+        lambda own: rk.place(
+            rk.Scene(BALL, contact=rk.Slipping()), LEVEL, STILL, STILL
+        ),
+        "[0]",
+        None,
+    ),
+    "in flight": (
+        lambda own: SCENE,
+        lambda own: rk.release(rk.Scene(BALL), LEVEL, STILL, (0.0, 0.0, 1.0), STILL),
+        "[0]",
+        None,
+    ),
+    "that is not finite": (
+        lambda own: SCENE,
+        lambda own: jax.tree.map(lambda x: x * np.nan, own),
+        "[0]",
+        None,
+    ),
+    "that is a number": (lambda own: SCENE, lambda own: (1.0,), "[0]", 1.0),
+    "none": (lambda own: SCENE, lambda own: None, "", None),
+}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_place_with_a_state_of_another_scene(own, name):
+    """Named by its field, before a contact is looked for."""
+    scene, supported, field, value = (
+        x(own) if callable(x) else x for x in FOREIGN[name]
+    )
+    with pytest.raises(FieldError) as refused:
+        rk.place(scene, LEVEL, STILL, STILL, supported=supported)
+    assert refused.value.field == f"place.supported{field}"
+    assert "scene.supported[0].place(...)" in refused.value.remedy
+    if value is not None:
+        assert refused.value.value == value
+
+
+def test_a_place_with_a_state_where_nothing_rolls_inside(own):
+    with pytest.raises(FieldError, match="leave it out: no RollingBody") as refused:
+        rk.place(rk.Scene(SHELL), LEVEL, STILL, STILL, supported=own)
+    assert refused.value.field == "place.supported"
+
+
 def test_a_start_of_another_scene(start):
     bare = rk.Scene(SHELL)
     with pytest.raises(FieldError) as refused:
@@ -71,10 +149,7 @@ def test_a_start_of_another_scene(start):
     with pytest.raises(FieldError) as refused:
         rk.simulate(SCENE, rk.place(bare, LEVEL, STILL, STILL), [0.0, 1.0])
     assert refused.value.field == "simulate.start.supported"
-    other = rk.RollingBody(
-        rk.Body(0.5, 1e-3 * np.eye(3), rk.Torus(0.08, 0.03)),
-        rk.Sphere(0.29, inside=True),
-    )
+    other = rk.RollingBody(TORUS, rk.Sphere(0.29, inside=True))
     with pytest.raises(FieldError) as refused:
         rk.simulate(rk.Scene(SHELL, supported=other), start, [0.0, 1.0])
     assert refused.value.field == "simulate.start.supported[0].contact_on_body"

@@ -28,11 +28,11 @@ from .placement_errors import (
     Placed,
     refuse_bad,
     refuse_needless,
-    refuse_no_scene,
     warn_of_pull,
 )
 from .rolling import contact_of
-from .scene import Scene
+from .scene import Scene, require_scene
+from .state_forms import check_rolling
 
 
 def place(
@@ -99,7 +99,8 @@ def place(
 
     Source: docs/theory.md, (1.4), ``n_body = -R^T n_base``.
     """
-    refuse_no_scene(scene)
+    remedy = "call place(scene, orientation, angular_velocity, contact_on_base)"
+    require_scene("place.scene", scene, remedy)
     prepare_calls()  # a run follows
     dtype = scene.body.mass.dtype
     meanings = {
@@ -262,16 +263,20 @@ class _Fit(eqx.Module):
 
 def _inner_states(scene: Scene, given: Any) -> tuple[State, ...]:
     """States of the bodies that roll on the body; refused if they are not theirs."""
-    given = (given,) if isinstance(given, State) else tuple(given)
-    bodies = rolling_parts(scene.supported)
-    if len(given) == len(bodies) and all(isinstance(own, State) for own in given):
-        return given
-    raise FieldError(
-        "place.supported",
-        f"{len(given)} states",
-        f"must be a State for each RollingBody of the scene, {len(bodies)}",
-        "place each by its own method first: scene.supported[0].place(...)",
-    )
+    field, bodies = "place.supported", rolling_parts(scene.supported)
+    remedy = "place each by its RollingBody's method: scene.supported[0].place(...)"
+    if not bodies:
+        remedy = "leave it out: no RollingBody is in the scene"
+    try:
+        states = (given,) if isinstance(given, State) else tuple(given)
+    except TypeError as error:
+        raise FieldError(field, given, "must be a State, or several", remedy) from error
+    check_rolling(bodies, states, field, remedy)
+    for k, state in enumerate(states):
+        numbers = jax.tree.leaves(state)
+        if not is_traced(numbers) and not all(np.isfinite(x).all() for x in numbers):
+            raise FieldError(f"{field}[{k}]", state, "must be finite", remedy)
+    return states
 
 
 _WHERE = "orientation", "contact_on_base", "base_normal", "near_on_body"

@@ -91,14 +91,6 @@ _WRONG = {
 }
 
 
-def refuse_no_scene(scene: object) -> None:
-    """Refuse what is no scene: a body alone, say, or arguments in another order."""
-    if not isinstance(scene, Scene):
-        kind = f"must be a Scene, not a {type(scene).__name__}"
-        remedy = "call place(scene, orientation, angular_velocity, contact_on_base)"
-        raise FieldError("place.scene", scene, kind, remedy)
-
-
 def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
     """Refuse what the scene determines, or has no use for."""
     slips = scene.contact.slips

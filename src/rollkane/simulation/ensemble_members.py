@@ -13,7 +13,7 @@ from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array
 
 from ..codegen.dependence import reached_outputs
-from ..dynamics.scene import Scene
+from ..dynamics.scene import Scene, require_scene
 from ..hybrid.modes import HybridScene, Modes, in_one_law, modes_of
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced, whole
@@ -106,7 +106,7 @@ def members_of(
     """
     if isinstance(starts, Scene) and not isinstance(scene, Scene):
         remedy = "scene and starts are swapped: call ensemble(scene, starts, times)"
-        raise FieldError("ensemble.scene", scene, "must be a Scene", remedy)
+        require_scene("ensemble.scene", scene, remedy)
     if isinstance(scene, list | tuple) and scene_axes is None:
         scene_axes = 0  # as they are put together here
     scene = _stacked("scene", _in_one_law(scene), Scene)

@@ -1,25 +1,21 @@
 """What a run is refused for: a law, a start or times that do not fit its scene."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..dynamics.abstract_supported import (
-    AbstractRollingPart,
-    refuse_rolling_parts,
-    rolling_parts,
-)
+from ..dynamics.abstract_supported import refuse_rolling_parts
 from ..dynamics.clearance import nearest_is_found
 from ..dynamics.equations import refuse_feedback
 from ..dynamics.rolling_problem import has_margin
-from ..dynamics.scene import Rolling, Scene
+from ..dynamics.scene import Rolling, Scene, require_scene
+from ..dynamics.state_forms import check_form
 from ..hybrid.modes import HybridState, ModedState, Modes
 from ..kinematics.coordinates import FlyingState, SlidingState, State
 from ..kinematics.voronets import VoronetsState
 from ..validation.checks import FieldError, is_traced
-from ..validation.remembered import remembered
 
 
 def check_scene(function: str, scene: object, start: object) -> None:
@@ -30,13 +26,10 @@ def check_scene(function: str, scene: object, start: object) -> None:
         scene: The first.
         start: The second.
     """
-    if isinstance(scene, Scene):
-        return
     remedy = "give the Scene first, then the start"
     if isinstance(start, Scene):
         remedy = f"scene and start are swapped: call {function}(scene, start, ...)"
-    kind = f"must be a Scene, not a {type(scene).__name__}"
-    raise FieldError(f"{function}.scene", scene, kind, remedy)
+    require_scene(f"{function}.scene", scene, remedy)
 
 
 def check_law(scene: Scene, formulation: str, coordinates: str) -> None:
@@ -87,38 +80,6 @@ def check_modes(scene: Scene, start: object, modes: object) -> None:
         )
 
 
-class _Form(NamedTuple):
-    """What a start of a scene has to be.
-
-    Attributes:
-        slips: Whether its contact does.
-        pole_free: Shapes of a ``State``'s fields.
-        in_charts: Those of a ``VoronetsState``'s.
-        bodies: What rolls on the body, each with a state of its own.
-    """
-
-    slips: bool
-    pole_free: dict[str, tuple[int, ...]]
-    in_charts: dict[str, tuple[int, ...]]
-    bodies: list[AbstractRollingPart]
-
-
-@remembered(lambda scene: True)  # shapes do not change, and take 10 us to find
-def _form_of(scene: Scene) -> _Form:
-    body, base = scene.body.surface, scene.base.surface
-    carried = body.coordinate_count if scene.has_contact_coordinates else 0
-    count = (scene.coordinate_count,)
-    both = {"angular_velocity": (3,), "alpha": count, "alpha_dot": count}
-    pole_free = {
-        "orientation": (4,),
-        "contact_on_base": (base.coordinate_count,),
-        "contact_on_body": (carried,),
-    }
-    in_charts = {"contact_on_base": (2,), "contact_on_body": (2,), "angle": ()}
-    bodies = rolling_parts(scene.supported)
-    return _Form(scene.contact.slips, both | pole_free, both | in_charts, bodies)
-
-
 def _check_one_mode(where: str, start: object) -> None:
     """Refuse a state that could be in any mode: of them it would be in contact."""
     if isinstance(start, (HybridState, ModedState)):
@@ -127,8 +88,9 @@ def _check_one_mode(where: str, start: object) -> None:
         raise FieldError(where, type(start).__name__, kind, remedy)
 
 
-def check_start(scene: Scene, start: object, where: str = "simulate.start") -> None:
+def check_start(scene: Scene, start: object) -> None:
     """Refuse a start that does not belong to the scene."""
+    where = "simulate.start"
     _check_one_mode(where, start)
     if not isinstance(start, (State, VoronetsState)):
         remedy = "make it with rollkane.place"
@@ -139,36 +101,7 @@ def check_start(scene: Scene, start: object, where: str = "simulate.start") -> N
         problem = "is in flight, and a contact law holds a body that touches its base"
         remedy = "give modes=rollkane.Modes(restitution=...), or place the body"
         raise FieldError(where, start, problem, remedy)
-    form = _form_of(scene)
-    if form.slips != type(start).slips:
-        raise FieldError(
-            where,
-            start,
-            f"is no state of a body that {'slips' if form.slips else 'rolls'}",
-            "place the body in this scene",
-        )
-    charts = isinstance(start, VoronetsState)
-    own = vars(start)  # in a fifth of the time of as many attributes
-    for field, wanted in (form.in_charts if charts else form.pole_free).items():
-        shape = own[field].shape
-        if shape != wanted:
-            raise FieldError(
-                f"{where}.{field}",
-                shape,
-                f"must have shape {wanted} in this scene",
-                "place the body in this scene (a batch of starts needs jax.vmap)",
-            )
-    bodies = form.bodies
-    supported = own.get("supported", ())
-    if len(bodies) != len(supported):
-        raise FieldError(
-            f"{where}.supported",
-            f"{len(supported)} states",
-            f"must have one for each RollingBody of the scene, {len(bodies)}",
-            "place the body with supported=, in pole-free coordinates",
-        )
-    for k, (part, state) in enumerate(zip(bodies, supported, strict=True)):
-        check_start(part.scene, state, f"{where}.supported[{k}]")
+    check_form(scene, start, where, "place the body in this scene")
 
 
 def check_span(scene: Scene, times: Any) -> None:
