@@ -6,6 +6,7 @@ import sys
 import jax
 import numpy as np
 import pytest
+import xarray
 
 import rollkane
 from rollkane.files.export import to_xarray, write_netcdf
@@ -46,6 +47,43 @@ def batch():
     return jax.vmap(
         lambda start: simulate(file.scene, start, times, rtol=1e-8, max_steps=1000)
     )(starts)
+
+
+def test_events_of_a_run_and_of_a_batch(tmp_path):
+    """By name: how often they happened and when, as the run itself says."""
+    file = load_scene("routh-sphere")
+    turns = rollkane.Event(lambda scene, t, state: state.angular_velocity[0], name="x")
+    rests = rollkane.Event(lambda scene, t, state: t + 1.0, name="never")
+
+    def run_from(start):
+        times, events = np.linspace(0, 2.0, 3), (turns, rests)
+        return simulate(file.scene, start, times, rtol=1e-8, events=events)
+
+    run = run_from(file.start)
+    found = run.events["x"]
+    assert found.count == 2
+    write_netcdf(run, tmp_path / "run.nc")
+    with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as written:
+        assert written["x_time"].dims == ("x_crossing",)
+        assert written["x_time"].attrs["units"] == "s"
+        np.testing.assert_array_equal(written["x_time"], found.times)
+        assert written["x_count"] == found.count
+        assert written["never_count"] == 0
+        assert written["never_time"].size == 0
+    starts = jax.tree.map(lambda x: jax.numpy.stack([x] * 2), file.start)
+    batch = to_xarray(jax.vmap(run_from)(starts))
+    assert batch["x_time"].dims == ("lane", "x_crossing")
+    np.testing.assert_array_equal(batch["x_count"], [found.count] * 2)
+    kept = batch["x_time"].values[:, : int(found.count)]
+    np.testing.assert_array_equal(kept, [found.times] * 2)
+    ends = rollkane.Event(lambda scene, t, state: t - 1.0, name="final")
+    lone = simulate(file.scene, file.start, [0.0, 2.0], events=(ends,))
+    np.testing.assert_array_equal(
+        to_xarray(lone)["final_time"], lone.events["final"].times
+    )
+    many = jax.vmap(lambda s: simulate(file.scene, s, [0.0, 2.0], events=(ends,)))
+    with pytest.raises(rollkane.FieldError, match='another "final_time"'):
+        to_xarray(many(starts))
 
 
 def test_names_shapes_and_values(run, dataset):

@@ -22,6 +22,7 @@ from ..simulation.motion import AbstractMotion
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .atomic_file import write_whole
+from .export_events import event_variables
 from .file_endings import NETCDF, wrong_ending
 
 if TYPE_CHECKING:
@@ -108,8 +109,9 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
         slips ``slip``; where it changes ``slip`` and ``mode``, and over ``switch`` the
         changes ``switch_time`` [s], ``switch_before``, ``switch_after``, those of one
         run that there were, of a batch ``switch_count`` and all that is kept; of each
-        body that rolls on the body, by its path, the likes of ``rolling_0_position``;
-        where the energy may change ``power``.
+        event that was looked for ``NAME_count``, and over ``NAME_crossing`` its times
+        ``NAME_time`` [s]; of each body that rolls on the body, by its path, the likes
+        of ``rolling_0_position``; where the energy may change ``power``.
         Vectors over ``axis`` (x, y, z) or ``quaternion`` (w, x, y, z). How the run
         ended is in the attributes. A batch has ``lane`` in front (``lane_0``,
         ``lane_1``, ... if there are several batch axes), and how each lane ended are
@@ -117,6 +119,8 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
 
     Raises:
         ImportError: xarray is not installed.
+        FieldError: an event has a name such as "switch", whose ``switch_time`` is there
+            already.
     """
     xarray = imported("xarray")
     lanes = _lanes(trajectory)
@@ -144,6 +148,7 @@ def to_xarray(trajectory: Trajectory) -> "xarray.Dataset":
     else:
         attributes |= {name: value.item() for name, value in ends.items()}
         attributes["reason"] = trajectory.reason
+    variables |= event_variables(trajectory.events or {}, lanes, variables)
     return xarray.Dataset(variables, coordinates, attributes)
 
 

@@ -3,7 +3,6 @@
 Needs the extra ``rollkane[results]`` (xarray).
 """
 
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +12,12 @@ from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, reason_of
 from .export import BASE_AXIS, COORDINATES, QUANTITIES, heading, imported, labels
 from .export import quantities as quantities_of
+from .export_events import Variable, event_variables
 
 if TYPE_CHECKING:
     import xarray
 
-_Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
-_Variables = dict[str, _Variable]
+_Variables = dict[str, Variable]
 
 _MEMBER = ("member",)
 _BOTH = ("member", "time")
@@ -68,11 +67,8 @@ def ensemble_to_xarray(ensemble: Ensemble) -> "xarray.Dataset":
     if ensemble.state is not None:
         variables |= quantities_of(ensemble, scene, _BOTH)
     variables |= _ends(ensemble)
-    for event, name, about in _events(ensemble):
-        if name in variables or name in _OWN_COORDINATES:
-            problem = f'would be another "{name}" in a data set'
-            raise FieldError("Event.name", event, problem, "give another name")
-        variables[name] = about
+    taken = {*variables, *_OWN_COORDINATES}
+    variables |= event_variables(ensemble.events, _MEMBER, taken)
     for name, value in ensemble.observed_by_name.items():
         name = name.replace("/", "_")  # which NetCDF keeps for its groups
         if name in variables or name in _OWN_COORDINATES:
@@ -125,15 +121,3 @@ def _explained(ensemble: Ensemble) -> str:
         )
         lines.append(f"{name}: {more}")
     return "\n".join(lines)
-
-
-def _events(ensemble: Ensemble) -> Iterator[tuple[str, str, _Variable]]:
-    """Of each event: its name, and names and values of its variables."""
-    for event, crossings in ensemble.events.items():
-        name = event.replace("/", "_")
-        times, count = np.asarray(crossings.times), np.asarray(crossings.count)
-        about = labels(f'times of "{event}"', "s", "")
-        over = *_MEMBER, f"{name}_crossing"
-        yield event, f"{name}_time", (over, times, about)
-        about = labels(f'how often "{event}" happened', "1", "")
-        yield event, f"{name}_count", (_MEMBER, count, about)

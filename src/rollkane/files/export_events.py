@@ -1,0 +1,43 @@
+"""Events of runs as variables of labelled data sets."""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..validation.checks import FieldError
+
+# dimensions, values and labels
+Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
+
+
+def event_variables(
+    events: Mapping[str, Any], front: tuple[str, ...], taken: Collection[str]
+) -> dict[str, Variable]:
+    """How often each happened, ``NAME_count``, and when [s], ``NAME_time``.
+
+    Args:
+        events: By name, as ``Trajectory.events`` and ``Ensemble.events`` have them.
+        front: Dimensions that they have in front.
+        taken: Names that the data set has otherwise.
+
+    Raises:
+        FieldError: an event has a name such as "final", whose ``final_time`` is there
+            already.
+    """
+    found: dict[str, Variable] = {}
+    for event, crossings in events.items():
+        name = event.replace("/", "_")  # which NetCDF keeps for its groups
+        times, count = np.asarray(crossings.times), np.asarray(crossings.count)
+        when = {"long_name": f'times of "{event}"', "units": "s"}
+        often = {"long_name": f'how often "{event}" happened', "units": "1"}
+        own = {
+            f"{name}_time": ((*front, f"{name}_crossing"), times, when),
+            f"{name}_count": (front, count, often),
+        }
+        for there in own:
+            if there in taken or there in found:
+                problem = f'would be another "{there}" in a data set'
+                raise FieldError("Event.name", event, problem, "give another name")
+        found |= own
+    return found
