@@ -2,9 +2,9 @@
 
     python benchmarks/monte_carlo.py [--out FOLDER] [--size N] [--large N] [--part PART]
 
-Two studies: rattlebacks of 20 s whose spin and mass are random (do they turn back a
-second time?), and rolling isolators under 20 s of all three components of the Kaikoura
-record at random strength (is contact lost?). Measured:
+Two studies: rattlebacks of 20 s whose spin and mass are random (does the spin pass
+zero a second time?), and rolling isolators under 20 s of all three components of the
+Kaikoura record at random strength (is contact lost?). Measured:
 
 - rates: members a second of ``rk.monte_carlo`` into a store, and of ``rk.ensemble`` of
   the same members, which are made before its clock starts; alternately, least of the

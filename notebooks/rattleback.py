@@ -8,7 +8,7 @@
 # %% [markdown]
 # # The rattleback: a stone that prefers one sense of rotation
 #
-# Spun one way, Kane and Levinson's stone starts to rattle, stops, and turns back; spun
+# Spun one way, Kane and Levinson's stone starts to rattle, stops, and reverses; spun
 # the other way it goes on. Nothing is lost on the way: the spin turns into rocking and
 # back.
 
@@ -39,13 +39,13 @@ _ = plt.ylabel("spin about the vertical [rad/s]")
 
 # %% [markdown]
 # The spin ripples with the rocking, so that it is averaged over half a second before
-# its sign is looked at. It turns back, and later turns back again: no friction takes
+# its sign is looked at. It reverses, and later reverses again: no friction takes
 # the energy, so it comes out of the rocking once more.
 
 # %%
 smooth = np.convolve(spin, np.ones(150) / 150, mode="valid")
 turns = times[75:-74][1:][np.diff(np.sign(smooth)) != 0]
-print("turns back at", turns.round(2), "s")
+print("the mean spin changes sign at", turns.round(2), "s")
 energy = np.asarray(run.energy)
 drift = np.ptp(energy) / energy[0]
 print(f"relative drift of the energy: {drift:.1e}")
@@ -56,8 +56,8 @@ assert drift < 1e-8  # 6000 outputs at rtol 1e-10
 # ## With its grain
 #
 # The same stone, spun the other way at the same rate. Now the other of its two rocking
-# motions grows, and more slowly: it takes several times as long until the stone turns
-# back.
+# motions grows, and more slowly: it takes several times as long until the stone
+# reverses.
 
 # %%
 other = rk.place(
@@ -73,5 +73,5 @@ _ = plt.legend()
 # %%
 smooth = np.convolve(with_grain, np.ones(150) / 150, mode="valid")
 later = times[75:-74][1:][np.diff(np.sign(smooth)) != 0]
-print("with its grain it turns back at", later.round(2), "s")
+print("with its grain it changes sign at", later.round(2), "s")
 assert later[0] > 3.0 * turns[0]

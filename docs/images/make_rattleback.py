@@ -1,4 +1,4 @@
-"""Make rattleback.png: Kane and Levinson's stone turns back, twice.
+"""Make rattleback.png: Kane and Levinson's stone reverses twice.
 
 With rollkane and its plot extra installed:
 

@@ -4,13 +4,17 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from rollkane.pictures.summary import _SIDE
+
 from .test_readme import run_program
 
-PAGE = (Path(__file__).parents[2] / "docs" / "start.md").read_text()
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "start.md").read_text()
 STEPS = re.findall(r"```(\w+)\n(.*?)```", PAGE, re.DOTALL)
 SETTING_UP = ("python3 -m venv .venv", ". .venv/bin/activate")
 COMMAND = "import sys; from rollkane.cli import main; main(sys.argv[1:])"
@@ -25,6 +29,20 @@ def test_every_step_is_short():
     for kind, text in STEPS:
         lines = [line for line in text.splitlines() if line]
         assert len(lines) < {"toml": 13}.get(kind, 10), text
+
+
+def test_a_reversal_is_what_a_summary_counts():
+    """The spin beyond the same share of its largest the other way, on every page."""
+    (study,) = (tomllib.loads(text) for _, text in STEPS if "[[events]]" in text)
+    (event,) = study["events"]
+    (spin,) = study["vary"].values()
+    assert (event["name"], event["of"]) == ("reversal", "spin")
+    assert event["level"] == -_SIDE * spin["mean"]
+    for page in (PAGE, (ROOT / "README.md").read_text()):
+        assert f"{100 * _SIDE:g} % of its largest the other way" in " ".join(
+            page.split()
+        )
+        assert not re.search(r"turn(s|ed)? back", page)
 
 
 def test_extras_and_written_files_are_known():

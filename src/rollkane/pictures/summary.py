@@ -152,7 +152,7 @@ def reversals(
 ) -> Float[np.ndarray, " n"]:
     """Times at which a sampled function reverses, other than by a ripple about zero.
 
-    It has turned back once it has gone beyond a least size on either side of zero, one
+    It has reversed once it has gone beyond a least size on either side of zero, one
     after the other; the reversal is its last zero between the two.
 
     Args:
