@@ -78,6 +78,29 @@ def test_outputs_at_changes_change_nothing(
                 np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-7)
 
 
+def up_from(t, point):
+    """More than a weight of 9.81 N, from 0.5 s on."""
+    del point
+    return jnp.stack([0.0 * t, 0.0 * t, jnp.where(t >= 0.5, 20.0, 0.0)])
+
+
+@pytest.mark.parametrize("first", [0.0, 0.5])
+def test_an_output_at_a_lift_off_shows_the_contact(first):
+    """With the force that would pull, 9.81 - 20 N, also where it is the first."""
+    body = rk.Body(1.0, INERTIA, rk.Sphere(0.1))
+    scene = rk.Scene(body, loads=(rk.Gravity(), rk.Force(up_from)), kinks=[0.5])
+    still = (0.0, 0.0, 0.0)
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), still, still)
+    times = np.unique([first, 0.5, 0.75])
+    run = rk.simulate(scene, start, times, modes=rk.Modes(friction=0.5))
+    assert run.mode[-2] == rk.Mode.ROLLING
+    # a sum of two terms, of 20 at most
+    np.testing.assert_allclose(run.normal_force[-2], 9.81 - 20.0, atol=1e-13)
+    assert run.mode[-1] == rk.Mode.FLYING
+    np.testing.assert_allclose(run.switches.time[0], 0.5, atol=1e-12)
+    assert "shows the state before" in " ".join(rk.Modes.__doc__.split())
+
+
 def test_outputs_at_changes_change_no_derivative():
     """By the mass: a flight lands on an output, a slip lifts off before one."""
     motion = rk.BaseMotion(shaken)

@@ -44,6 +44,9 @@ IMPACT_LAWS = ("energetic", "newton")
 class Modes(eqx.Module):
     """How a run may change between rolling, slipping and flight.
 
+    An output at which N < 0 lifts off, the first one included, shows the state before:
+    the contact, and the force that would have to pull.
+
     Attributes:
         friction: Coefficient of sliding friction [1]; None: the body never slips.
         static_friction: Of sticking [1]; None: the same, see :attr:`sticking`.
