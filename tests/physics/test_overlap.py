@@ -275,6 +275,11 @@ def test_a_batch_of_runs_at_a_second_place_is_each_alone():
         assert (times[i], codes[i], steps[i]) == (alone[0], alone[1], alone[3])
         pairs = zip(jax.tree.leaves(states), jax.tree.leaves(alone[2]), strict=True)
         assert all((a[i] == b).all() for a, b in pairs)
+    pair = scene(rk.Sphere(0.1), rk.Graph(hill))
+    speeds = jnp.array([[0.0, 5.0, 0.0], [0.0, 2.0, 0.0]])
+    starts = jax.vmap(lambda w: rk.place(pair, LEVEL, w, STILL))(speeds)
+    runs = rk.ensemble(pair, starts, [0.0, 2.0], second_contact=True)
+    assert (runs.method, runs.code.tolist()) == ("native", [10, 0])
     # both end between the touch and the 1e-9 of the size that are allowed, 1e-10 m:
     # less than 1e-9 s apart at some 0.5 m/s towards a post that stands upright
     other = run(*given[:, 0], "diffrax")

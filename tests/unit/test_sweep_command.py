@@ -199,7 +199,7 @@ level = 0.5
 stop = true
 """
 # a ball inside of a wavy base may touch it twice
-GRAPH = 'kind = "graph"\nf = "0.3 * x * x"'
+POST = 'kind = "graph"\nf = "0.25 * exp(-((x - 0.4)**2 + y * y) / 0.002)"'
 
 
 @pytest.fixture
@@ -291,15 +291,17 @@ def test_stopped_points_have_no_cross():
     assert early.tolist() == [False, False, True, True]
 
 
-def test_what_a_sweep_does_not_look_for_is_refused(tmp_path):
-    """Where a second contact is possible."""
+def test_a_second_contact_ends_a_point(tmp_path):
+    """A ball that rolls at a post, and one that does not come to it."""
     path = tmp_path / "graph.toml"
-    text = BALL.replace('kind = "sphere"\nradius = 0.5', GRAPH)
+    text = BALL.replace('kind = "sphere"\nradius = 0.5', POST)
     text = text.replace("[0.0, 0.0, 0.5]", "[0.0, 0.0, 0.0]")
     path.write_text(text + "second_contact = true\n")
-    done = rollkane_with("sweep", str(path), "--vary=body.mass=1,2")
-    assert done.exit_code == 2
-    assert "run.second_contact = true is not looked for" in done.output
+    vary = "--vary=start.angular_velocity[1]=0.5,5"
+    done = rollkane_with("sweep", str(path), vary, "--json")
+    assert done.exit_code == 3  # as a run that ends early
+    columns = json.loads(done.stdout)["columns"]
+    assert columns["outcome"] == ["completed", "second contact"]
 
 
 def test_an_event_that_would_hide_a_column_is_refused(tilting):

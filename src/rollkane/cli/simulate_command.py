@@ -133,7 +133,6 @@ def simulate(
     file = loaded(ctx, scene, changes)
     times = times_of(file, options.pop("duration"), options.pop("outputs"))
     how = how_to_run(file, **options) | watched(file, stop)
-    how["second_contact"] = file.second_contact
     result, timing, interrupted = _run(file, times, how, quiet or as_json)
     told = not (quiet or as_json)
     if told:
@@ -179,6 +178,7 @@ def how_to_run(
         "modes": file.modes,
         "method": method or file.method,
         "events": file.events,
+        "second_contact": file.second_contact,
     }
 
 

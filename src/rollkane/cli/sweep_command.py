@@ -151,19 +151,13 @@ def _observing(names: tuple[str, ...]) -> Any:
 
 
 def _refuse_untold(groups: list[Group], times: list[Any], out: str | None) -> None:
-    """What a sweep cannot look for, or its files cannot tell."""
+    """What the files of a sweep cannot tell."""
     import numpy as np
 
-    from ..dynamics.clearance import may_touch_twice
     from ..files.file_endings import TABLES, ending
 
     for group in groups:
-        file = group.files[0]
-        if file.second_contact and may_touch_twice(file.scene):
-            problem = "run.second_contact = true is not looked for by a sweep"
-            remedy = "set it to false (--set run.second_contact=false), or simulate"
-            raise click.UsageError(f"{problem}: {remedy} each point")
-        if any(event.name == "final" for event in file.events):
+        if any(event.name == "final" for event in group.files[0].events):
             problem = "an event is called 'final', and final_time is the motion's end"
             raise click.UsageError(f"{problem}: give it another name")
     one_axis = all(np.array_equal(times[0], own) for own in times)

@@ -187,20 +187,17 @@ def is_apart(scene: Scene, t: Float[Array, ""], state: Any) -> Array:
     return ~(found.gap < -depth_of_touch(found.size))
 
 
+@for_one_call
 def code_of_touch(code: Array, scene: Scene, t: Float[Array, ""], state: Any) -> Array:
     """The code of a run, SECOND_CONTACT where it got stuck because of one."""
-    stuck = is_stuck(code)
-    found = cast(Clearance, _clearance_at_end(scene, t, state))
-    return jnp.where(
-        stuck & (found.gap < -0.5 * depth_of_touch(found.size)),
-        Code.SECOND_CONTACT,
-        code,
-    )
 
+    def touches() -> Array:
+        found = clearance(scene, t, state)
+        return found.gap < -0.5 * depth_of_touch(found.size)
 
-@for_one_call
-def _clearance_at_end(scene: Scene, t: Float[Array, ""], state: AnyState) -> Clearance:
-    return clearance(scene, t, state)
+    never: Callable[[], Array] = lambda: jnp.asarray(False)
+    touched = cast(Array, jax.lax.cond(is_stuck(code), touches, never))
+    return jnp.where(touched, Code.SECOND_CONTACT, code)
 
 
 def depth_of_touch(size: Float[Array, ""]) -> Float[Array, ""]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..codegen import NoCompilerError, Results, platform
 from ..dynamics.abstract_supported import refuse_rolling_parts
+from ..dynamics.clearance import may_touch_twice
 from ..dynamics.scene import Scene
 from ..hybrid.modes import HybridScene, Modes, modes_of, of
 from ..integration.backends import METHODS
@@ -80,6 +81,7 @@ class EnsembleRun:
         workers: Any = None,
         events: Any = (),
         stop: Any = None,
+        second_contact: Any = False,
     ):
         """Check and plan it; see :func:`rollkane.ensemble`.
 
@@ -112,6 +114,7 @@ class EnsembleRun:
         self.how: dict[str, Any] = {
             "max_steps": max_steps,
             "solver": self.solver,
+            "second_contact": flag("ensemble.second_contact", second_contact),
         }
         self.lanes, self.method = None, method
         at = jnp.asarray(self.times[0])
@@ -138,6 +141,8 @@ class EnsembleRun:
 
     def _choose(self) -> None:
         """The loop over lanes, if it serves; else ``simulate`` goes its own way."""
+        if self.how["second_contact"] and may_touch_twice(self.example[0]):
+            return
         try:
             self.lanes = self._by_lanes()
         except NotForLanesError as error:

@@ -34,6 +34,7 @@ def ensemble(
     workers: int | None = None,
     events: Any = (),
     stop: Any = None,
+    second_contact: bool = False,
 ) -> Ensemble:
     """Motions of many members: starts, scenes, or both differ.
 
@@ -71,6 +72,8 @@ def ensemble(
         workers: Threads; as many as processors by default.
         events: As in ``simulate``, the same for all members.
         stop: Likewise: a member that ends leaves its place to the next.
+        second_contact: Whether a member ends, with ``Code.SECOND_CONTACT``, where it
+            reaches its base at a second place, as in ``simulate``.
 
     Returns:
         The ensemble. Where an argument is traced (``jax.grad``, ``jax.jit``), it is
@@ -82,6 +85,7 @@ def ensemble(
     run = EnsembleRun(
         *(scene, starts, times, observe, keep_states, count, scene_axes, rtol, atol),
         *(solver, modes, max_steps, method, block, workers, events, stop),
+        second_contact,
     )
     if run.traced:
         return run.whole()

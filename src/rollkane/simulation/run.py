@@ -7,6 +7,7 @@ import diffrax as dfx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..codegen import in_one_program_or_not
 from ..dynamics.clearance import code_of_touch, is_apart, may_touch_twice
 from ..dynamics.consistency import consistent
 from ..dynamics.events import Event
@@ -199,7 +200,7 @@ def _trajectory(
 ) -> Trajectory:
     # in a tenth of the time of as many attributes
     parts: dict[str, Any] = dict(vars(outcome))
-    parts["code"] = _code_at(outcome, scene, looks)
+    parts["code"] = _code_at(outcome, scene, looks, method == "native")
     found = parts.pop("happened")
     return Trajectory(
         scene=scene,
@@ -247,7 +248,7 @@ _PROBLEMS = {
 }
 
 
-def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
+def _code_at(outcome: Outcome, scene: Scene, looks: bool, native: bool) -> Array:
     """The code, once it is seen what a small step was."""
     code = outcome.code
     if not is_traced(code) and not is_stuck(code.item()):
@@ -258,7 +259,10 @@ def _code_at(outcome: Outcome, scene: Scene, looks: bool) -> Array:
         found = cast(Array, explained(code, scene, t, state))
         code = jnp.where(bad, code, found)
     if looks:
-        code = jnp.where(bad, code, code_of_touch(code, scene, t, state))
+        of_touch = code_of_touch
+        if native and is_traced(code):  # of a batch in turn, and only where it is stuck
+            of_touch = functools.partial(in_one_program_or_not, code_of_touch)
+        code = jnp.where(bad, code, of_touch(code, scene, t, state))
     return code
 
 

@@ -13,7 +13,7 @@ from ..hybrid.modes import Modes
 from ..integration.backends import METHODS
 from ..integration.diffrax_checks import check_kinds
 from ..integration.integrate import checked_times
-from ..validation.checks import FieldError
+from ..validation.checks import FieldError, flag
 from ..validation.codes import Code
 from .distributions import AbstractDistribution
 from .draws import Draws
@@ -45,8 +45,9 @@ class Study:
             for all members; None where ``make`` gives them, or nothing changes.
         ends: Codes, besides success and an event that stops, with which a motion has
             ended as it should: what is observed there counts.
-        options: ``rtol``, ``atol``, ``solver``, ``max_steps``, ``method``, as
-            :func:`rollkane.ensemble` takes them.
+        options: ``rtol``, ``atol``, ``solver``, ``max_steps``, ``method``, and
+            ``second_contact`` where it is looked for, as :func:`rollkane.ensemble`
+            takes them.
     """
 
     def __init__(
@@ -66,6 +67,7 @@ class Study:
         solver: dfx.AbstractSolver[Any] | None = None,
         max_steps: int | None = None,
         method: str = "auto",
+        second_contact: bool = False,
     ):
         """Describe a study; nothing is computed yet.
 
@@ -102,6 +104,8 @@ class Study:
             "max_steps": max_steps,
             "method": method,
         }
+        if flag("Study.second_contact", second_contact):
+            self.options["second_contact"] = True
         _check_names(self)
 
     @property

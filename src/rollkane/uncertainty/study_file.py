@@ -10,7 +10,6 @@ from typing import Any, NamedTuple, cast
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..dynamics.clearance import may_touch_twice
 from ..dynamics.placement import place
 from ..dynamics.ready_observables import READY
 from ..dynamics.rolling import contact_of
@@ -110,6 +109,7 @@ class _Checked:
                 rtol=file.rtol,
                 atol=file.atol,
                 method=file.method,
+                second_contact=file.second_contact,
             )
         except FieldError as error:
             self._refused(error, file)
@@ -174,10 +174,6 @@ class _Checked:
         except SceneFileError as error:
             self._report.add(("scene",), f"cannot be used: {error.problems[0]}", remedy)
             return None
-        if file.second_contact and may_touch_twice(file.scene):
-            problem = "has run.second_contact = true, for which a study does not look"
-            remedy = "leave it out there, or simulate single motions"
-            self._report.add(("scene",), problem, remedy)
         return file
 
     def _vary(self) -> dict[str, Any]:
