@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError, is_traced
-from ..validation.user_functions import as_time
+from ..validation.user_functions import GivenFunction, as_time
 from .equations import Reduced, reduced
 from .given_states import checked_state, known_system
 from .singular_states import Examined, examined, refuse
@@ -51,7 +51,8 @@ def linearize(
 
     Dependent speeds are eliminated by the velocity constraints; dependent coordinates
     by the configuration constraints, whose solution ``state`` has to be, and whose
-    rates the velocity constraints have to hold at zero.
+    rates the velocity constraints have to hold at zero. Both follow the inputs, too:
+    these change at held independent coordinates and speeds.
 
     Args:
         system: The system.
@@ -72,7 +73,7 @@ def linearize(
             said of traced numbers.
 
     Source: theory of implicit functions: dependent coordinates follow with
-    ``dq_d = -(dF/dq_d)^-1 dF/dq_i dq_i``.
+    ``dq_d = -(dF/dq_d)^-1 (dF/dq_i dq_i + dF/dr dr)``.
     """
     system = known_system("linearize.system", system)
     if system.by_multipliers:
@@ -147,22 +148,24 @@ def _linearized(
     places = np.asarray([system.independent.index(k) for k in moving], int)
 
     where = _entries(inputs)
-    r, unravel = ravel_pytree(where(system))
-    r = r.astype(state.q.dtype)  # of nothing: single precision
-    x = jnp.zeros(n + places.shape[0], r.dtype)
+    own, unravel = ravel_pytree(where(system))
+    own = own.astype(state.q.dtype)  # of nothing: single precision
+    x = jnp.zeros(n + places.shape[0], own.dtype)
+
+    def changed(r: Array) -> KaneSystem:
+        return eqx.tree_at(where, system, unravel(r)) if inputs else system
 
     def rates(x: Array, r: Array) -> tuple[Array, tuple[Array, Reduced]]:
         shift = jnp.zeros_like(state.q).at[columns].set(x[:n])
-        q = state.q + _followed(system, t, state.q, shift)
+        q = state.q + _followed(changed, t, (state.q, own), (shift, r - own))
         u = state.u.at[places].add(x[n:])
-        changed = eqx.tree_at(where, system, unravel(r)) if inputs else system
-        equations = reduced(changed, t, KaneState(q, u))
+        equations = reduced(changed(r), t, KaneState(q, u))
         dot = equations.rates()
         value = jnp.concatenate([dot.q[columns], dot.u[places]])
         return value, (value, equations)
 
     derivatives = cast(
-        _Derivatives, jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, r)
+        _Derivatives, jax.jacfwd(rates, argnums=(0, 1), has_aux=True)(x, own)
     )
     (A, B), (f, equations) = derivatives
     seen = examined(system, t, state, equations) if known else None
@@ -184,18 +187,30 @@ def _chosen(
 
 
 def _followed(
-    system: KaneSystem, t: Array, q: Float[Array, " n"], shift: Float[Array, " n"]
+    system: Callable[[Array], KaneSystem],
+    t: Array,
+    at: tuple[Float[Array, " n"], Float[Array, " r"]],
+    moved: tuple[Float[Array, " n"], Float[Array, " r"]],
 ) -> Float[Array, " n"]:
-    """A shift of the independent coordinates, and of the dependent ones with it."""
-    configuration = system.configuration
-    if configuration is None:
+    """A shift of the independent coordinates, and of the dependent ones with it.
+
+    ``at``: coordinates and inputs; ``moved``: by how much the independent ones and the
+    inputs change.
+    """
+    (q, own), (shift, by) = at, moved
+    given = system(own)
+    if given.configuration is None:
         return shift
-    bound = jnp.asarray(system.dependent_coordinates, int)
-    rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
+    bound = jnp.asarray(given.dependent_coordinates, int)
+    rest = jnp.zeros(given.speeds + given.auxiliary, q.dtype)
 
-    def held(q: Array) -> Array:
-        return system.at(configuration, t, q, rest)
+    def held(q: Array, r: Array) -> Array:
+        changed = system(r)
+        return changed.at(cast(GivenFunction, changed.configuration), t, q, rest)
 
-    F = cast(Array, jax.jacfwd(held)(q))
-    # once for each linear model, not for each step
-    return shift.at[bound].set(-jnp.linalg.solve(F[:, bound], F @ shift))
+    slopes = cast("Callable[..., Any]", jax.jacfwd(held, argnums=(0, 1)))
+    F_q, F_r = cast("tuple[Array, Array]", slopes(q, own))
+    # F itself, of which a state has roundings, does not come in; solved once for each
+    # linear model, not for each step
+    opened = F_q @ shift + F_r @ by
+    return shift.at[bound].set(-jnp.linalg.solve(F_q[:, bound], opened))
