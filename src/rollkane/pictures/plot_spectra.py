@@ -203,7 +203,9 @@ def plot_normal_modes(
     ):
         panel.bar(places, shape, width=0.6, color=BLUE)
         panel.axhline(0.0, color=INK, lw=0.8)
-        panel.set_ylim(-1.15, 1.15)
+        # velocities of one that turns nowhere may be above its largest place, one
+        high = 1.15 * float(np.max(np.abs(shape), initial=1.0))
+        panel.set_ylim(-high, high)
         panel.set_ylabel("shape [1]")
         told = f"{frequency:.4g} rad/s, {frequency / (2.0 * np.pi):.4g} Hz"
         panel.set_title(told, fontsize=9, loc="left", color=INK)

@@ -46,8 +46,10 @@ class NormalModes(NamedTuple):
 
     Attributes:
         frequencies: In rising order, each as often as it has modes [rad/s], shape (p,).
-        shapes: Changes of the independent coordinates, at rest, whose largest is one,
-            shape (p, n).
+        shapes: Changes of the independent coordinates where the vibration turns, at
+            rest, the largest of them one; shape (p, n). One that turns nowhere (a force
+            across the velocity, a flywheel) has both parts, places and velocities, as
+            it passes; the largest of its places is one.
         coordinates: Names of these.
         around: The coordinates.
     """
@@ -93,15 +95,17 @@ class Amplitude(eqx.Module):
 def normal_modes(scene: Scene, rest: State) -> NormalModes:
     """Vibrations about a rest, those whose frequency [rad/s] is not zero.
 
-    Of equal frequencies (a bowl of revolution) the shapes are told apart by the
-    independent coordinates, of which each has one that the others lack.
+    Each frequency comes as often as it has vibrations. Of equal ones (a bowl of
+    revolution) the shapes are told apart by the independent coordinates, of which each
+    has one that the others lack. What decays or grows, by more than 1e-6 of its
+    frequency in a radian, repeats nothing and is not among them.
 
     Args:
         scene: What rolls on what; nothing in it depends on time.
         rest: Where it stays, such as ``rk.steady_motion(...).state``.
 
     Raises:
-        FieldError: a state that does not stay.
+        FieldError: a state that does not stay; one whose vibrations all decay or grow.
     """
     around = independent_coordinates(scene, rest)
     rates, slopes = (np.asarray(x) for x in _linear(around))
@@ -114,6 +118,7 @@ def normal_modes(scene: Scene, rest: State) -> NormalModes:
         raise FieldError("normal_modes.rest", "...", problem, remedy)
     like = slopes * size[None] / size[:, None]
     told = spectrum_at_rest(scene, around.reference)
+    _refuse_damped(told)
     frequencies, shapes = _vibrations(like, told, around, size)
     return NormalModes(frequencies, shapes, around.names, around)
 
@@ -150,12 +155,11 @@ def _vibrations(
     while places.size:
         first = values.imag[places[0]]
         same = places[values.imag[places] - first < _LOOSE * first]
-        chosen = vectors[:, same]
-        rows = _at_rest(np.concatenate([chosen.real, chosen.imag], axis=1).T, still)
-        for row in rows:
+        for row in _shapes(vectors[:, same], still):
             shape = row * size
+            largest = np.argmax(np.abs(np.where(still, shape, 0.0)))
             frequencies.append(float(first))
-            shapes.append(shape / shape[np.argmax(np.abs(shape))])
+            shapes.append(shape / shape[largest])
         places = places[same.size :]
     whole_shape = np.stack(shapes) if shapes else np.zeros((0, size.size))
     return np.array(frequencies), whole_shape
@@ -168,8 +172,7 @@ def _swings(values: np.ndarray, told: Spectrum) -> np.ndarray:
     that are known to the cube root of the rounding only: 5e-5 of the fastest rate,
     where a slow vibration may be.
     """
-    own = cast(_Complex, told.eigenvalues)
-    near = np.maximum(told.errors, _LOOSE * np.abs(own))
+    own, near = cast(_Complex, told.eigenvalues), _near(told)
     own = own[(own.imag > near) & (np.abs(own.real) < near)]
     left, places = list(range(values.size)), list[int]()
     for value in own[np.argsort(own.imag, kind="stable")]:
@@ -179,15 +182,60 @@ def _swings(values: np.ndarray, told: Spectrum) -> np.ndarray:
     return np.array(places, int)
 
 
-def _at_rest(rows: np.ndarray, still: np.ndarray) -> np.ndarray:
-    """Vectors of a real span without velocities; without such, all of it."""
+def _near(told: Spectrum) -> np.ndarray:
+    """What parts of eigenvalues count as none [1/s]."""
+    return np.maximum(told.errors, _LOOSE * np.abs(told.eigenvalues))
+
+
+def _refuse_damped(told: Spectrum) -> None:
+    """Refuse a rest about which all that vibrates decays or grows."""
+    own, near = cast(_Complex, told.eigenvalues), _near(told)
+    own, near = own[own.imag > near], near[own.imag > near]
+    if not own.size or np.any(np.abs(own.real) < near):
+        return
+    slowest = own[np.argmin(own.imag)]
+    does = "decay" if np.all(own.real < 0.0) else "decay or grow"
+    problem = (
+        f"has no vibration that repeats: all {does}, the slowest by "
+        f"{slowest.real:.3g} 1/s at {slowest.imag:.6g} rad/s"
+    )
+    remedy = "leave out what damps or drives, or take steady_motion(...).eigenvalues"
+    raise FieldError("normal_modes.rest", "...", problem, remedy)
+
+
+def _shapes(vectors: _Complex, still: np.ndarray) -> np.ndarray:
+    """Real shapes of vibrations of one frequency, at rest where they turn.
+
+    Args:
+        vectors: Its eigenvectors, shape (n, m).
+        still: Which coordinates are no velocities.
+
+    Returns:
+        One for each vibration, shape (m, n).
+    """
+    count = vectors.shape[1]
+    rows = np.concatenate([vectors.real, vectors.imag], axis=1).T
     basis = np.linalg.svd(rows)[2][: rows.shape[0]]
     left, values, _ = np.linalg.svd(basis[:, ~still])
     full = np.zeros(basis.shape[0])
     full[: values.size] = values
     resting = left.T[full < _LOOSE] @ basis
-    chosen = resting if resting.shape[0] else basis
-    return echelon(chosen)
+    found: list[np.ndarray] = []
+    seen = np.zeros((0, count), complex)
+    # a real vector is the real part of the eigenvectors times complex weights. What is
+    # passed a quarter of a period later has i times the same: no other vibration
+    parts = np.concatenate([vectors.real, -vectors.imag], axis=1)
+    weighed = cast(np.ndarray, np.linalg.pinv(parts))
+    for row in (*echelon(resting), *echelon(basis)):
+        both = weighed @ row
+        weights: _Complex = both[:count] + 1j * both[count:]
+        unit = weights / np.sqrt(both @ both)
+        tried = np.concatenate([seen, unit[None]])
+        if np.linalg.svd(tried, compute_uv=False)[-1] > _LOOSE:
+            found, seen = [*found, row], tried
+        if len(found) == count:
+            break
+    return np.stack(found)
 
 
 def normal_mode_motion(
@@ -207,7 +255,7 @@ def normal_mode_motion(
         scene: What rolls on what; nothing in it depends on time.
         rest: Where it stays at rest, such as ``rk.steady_motion(...).state``.
         amplitude: How far from the rest along the mode's shape the motion begins, in
-            its largest coordinate [rad], [m] or that of alpha.
+            its largest place [rad], [m] or that of alpha.
         mode: Its number, in rising frequency; see
             :func:`rollkane.stability.normal_modes.normal_modes`.
         hold: What else is to have a value, as of :func:`rollkane.periodic_motion`.
@@ -216,15 +264,15 @@ def normal_mode_motion(
         method: ``"auto"``, ``"native"`` or ``"diffrax"``.
 
     Raises:
-        FieldError: a state that does not stay at rest, a mode that there is not, an
-            amplitude to which the family does not go.
+        FieldError: a state that does not stay at rest, a mode that there is not or
+            that decays, an amplitude to which the family does not go.
     """
     modes = normal_modes(scene, rest)
     count = modes.frequencies.size
     mode = whole(f"{_FIELD}.mode", mode, 0, f"give 0 to {count - 1}")
     if mode >= count:
         problem = f"is not one of the {count} normal modes of this rest"
-        remedy = f"give 0 to {count - 1}" if count else "give a stable rest"
+        remedy = f"give 0 to {count - 1}" if count else "give a rest that vibrates"
         raise FieldError(f"{_FIELD}.mode", mode, problem, remedy)
     far = float(real(f"{_FIELD}.amplitude", amplitude, (), "a number that is not 0"))
     if far == 0.0:
