@@ -180,3 +180,78 @@ def test_numbers_that_do_not_fit_their_rows(argument):
         particle(**{argument: (0,), function[argument]: rows})
     assert told.value.field == f"KaneSystem.{argument}"
     assert f"2 rows that {function[argument]} returns" in told.value.problem
+
+
+CHOICES = {
+    "one number alone": (0, "must be several in a row"),
+    "one that there is not": ((2,), "must be different numbers of those that there"),
+    "one from behind": ((-1,), "must be different numbers of those that there"),
+    "one twice": ((0, 0), "must be different numbers of those that there"),
+    "half a one": ((0.5,), "must be different numbers of those that there"),
+    "words": ("u", "must be different numbers of those that there"),
+}
+
+
+@pytest.mark.parametrize("argument", ["q_ind", "u_ind"])
+@pytest.mark.parametrize("name", CHOICES)
+def test_rows_of_linear_models_that_cannot_be_chosen(name, argument):
+    given, says = CHOICES[name]
+    with pytest.raises(FieldError) as told:
+        kane.linearize(bound(), 0.0, state(), **{argument: given})
+    assert told.value.field == f"linearize.{argument}"
+    assert told.value.value == given
+    assert says in told.value.problem
+
+
+def test_times_of_linear_models_are_one():
+    for times, says in (([0.0, 1.0], "must have shape"), ("now", "must be made of")):
+        with pytest.raises(FieldError, match=rf"^linearize\.t: {says}"):
+            kane.linearize(bound(), times, state())
+    found = jax.jit(lambda t: kane.linearize(bound(), t, state()).f)(0.0)
+    np.testing.assert_array_equal(found, [1.0, 1.0, 0.0])
+
+
+def ball_on_the_ground(q=(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0), **changed):
+    bodies = kane.free_bodies([1.0], [0.4 * np.eye(3)])
+    surfaces = rk.Sphere(1.0), kane.ground, rk.Plane()
+    touching = kane.RollingContact(bodies.frames[0], *surfaces)
+    return kane.rolling_contacts(bodies.system, [touching], q, np.zeros(6), **changed)
+
+
+FREE = {
+    "coordinates of no contact's": ("coordinates", (9,)),
+    "coordinates from behind": ("coordinates", (-1,)),
+    "coordinates that are one": ("coordinates", 0),
+    "speeds that there are not": ("speeds", (6,)),
+    "speeds from behind": ("speeds", (-1,)),
+    "speeds that are words": ("speeds", "u"),
+}
+
+
+@pytest.mark.parametrize("name", FREE)
+def test_what_should_stay_free_of_contacts_is_there(name):
+    what, given = FREE[name]
+    with pytest.raises(FieldError) as told:
+        ball_on_the_ground(**{f"independent_{what}": given})
+    assert told.value.field == f"rolling_contacts.independent_{what}"
+    assert told.value.value == given
+
+
+def test_a_quaternion_of_zeros():
+    """Its body's axes are not numbers, wherever contacts are looked for first."""
+    nowhere = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(
+        FieldError, match=r"^rolling_contacts\.q: .*mass matrix"
+    ) as told:
+        ball_on_the_ground(nowhere)
+    assert "quaternion" in told.value.remedy
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0)])
+def test_free_bodies_have_no_parameters(gravity):
+    """Their masses are numbers."""
+    inertia, of_parameters = 0.4 * np.eye(3), lambda p: p["m"]
+    with pytest.raises(FieldError, match=r"^free_bodies\.masses\[1\]: is a function"):
+        kane.free_bodies([1.0, of_parameters], [inertia, inertia], gravity)
+    with pytest.raises(FieldError, match=r"^free_bodies\.inertias\[0\]: is a function"):
+        kane.free_bodies([1.0], [of_parameters], gravity)

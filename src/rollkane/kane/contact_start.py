@@ -3,7 +3,7 @@
 NumPy, once for a system: contacts that follow from others are found by their rank.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, cast
 
 import jax
@@ -18,6 +18,7 @@ from .contact_functions import Chosen, Corrections, Gaps, Shared, Slips, split
 from .contact_rates import Touching, all_poses, gap_of
 from .equations import kane_equations
 from .system import KaneSystem
+from .system_arguments import chosen_numbers
 
 # of the largest singular value: below it, a row follows from others. Rows that do are
 # equal to roundings; contacts that nearly fit lose as many digits of their forces
@@ -85,8 +86,18 @@ def root_of(base: KaneSystem, t: Array, q: Array, u: Array) -> np.ndarray:
         t: Time [s].
         q: Its coordinates.
         u: Its speeds.
+
+    Raises:
+        FieldError: it has none there.
     """
     masses = np.asarray(kane_equations(base, t, q, u).mass_matrix)
+    if not np.isfinite(masses).all():
+        raise FieldError(
+            "rolling_contacts.q",
+            q,
+            "leaves the system without a mass matrix of finite numbers",
+            "start where every velocity is defined (a quaternion must not be zero)",
+        )
     size, axes = np.linalg.eigh(masses)
     largest = size[-1] if size[-1] > 0.0 else 1.0
     size = np.maximum(size, 1e-6 * largest)  # what moves no mass is moved freely
@@ -245,7 +256,7 @@ def chosen_of(
     now: Measured,
     root: np.ndarray,
     own: int,
-    kept: tuple[tuple[int, ...], tuple[int, ...]],
+    kept: tuple[Iterable[int], Iterable[int]],
     along: np.ndarray,
 ) -> Chosen:
     """Which constraints count and what they determine, by pivots.
@@ -259,9 +270,13 @@ def chosen_of(
             all velocity constraints, shape (contacts, d).
 
     Raises:
-        FieldError: these cannot all be independent.
+        FieldError: these cannot all be independent, or are not there.
     """
-    coordinates, speeds = kept
+    sizes = now.slopes.shape[1], now.by_speeds.shape[1]
+    coordinates, speeds = (
+        chosen_numbers(f"rolling_contacts.independent_{what}", some, size)
+        for what, some, size in zip(("coordinates", "speeds"), kept, sizes, strict=True)
+    )
     gaps = _rows(now.by_place)
     weight = np.ones(now.slopes.shape[1])
     weight[own:] = 1e3  # contacts are determined before bodies

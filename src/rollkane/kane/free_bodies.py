@@ -44,8 +44,8 @@ def free_bodies(
         gravity: [m/s^2], fixed axes, shape (3,).
 
     Raises:
-        FieldError: another number of inertias than of masses; what ``KaneSystem``
-            raises.
+        FieldError: another number of inertias than of masses; functions; what
+            ``KaneSystem`` raises.
     """
     masses = in_a_row("free_bodies.masses", masses)
     inertias = in_a_row("free_bodies.inertias", inertias)
@@ -56,6 +56,8 @@ def free_bodies(
             "are not as many as masses",
             "give one for each body",
         )
+    for name, numbers in (("masses", masses), ("inertias", inertias)):
+        _refuse_functions(f"free_bodies.{name}", numbers)
     g = real("free_bodies.gravity", gravity, (3,), "three accelerations [m/s^2]")
     count = len(masses)
     parts = [
@@ -68,6 +70,17 @@ def free_bodies(
     system = KaneSystem(7 * count, 6 * count, _kinematics, parts, loads)
     frames = [Frame(_Position(k), _Rotation(k)) for k in range(count)]
     return FreeBodies(system, tuple(frames))
+
+
+def _refuse_functions(field: str, given: tuple[Any, ...]) -> None:
+    for k, number in enumerate(given):
+        if callable(number):
+            raise FieldError(
+                f"{field}[{k}]",
+                number,
+                "is a function, and free bodies have no parameters for it to take",
+                "give a number, or write a KaneSystem(parameters=...) for its bodies",
+            )
 
 
 def _kinematics(t: Array, q: Array, u: Array) -> Array:

@@ -15,9 +15,10 @@ from ..codegen.compile_effort import for_one_call
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import GivenFunction, as_time
 from .equations import Reduced, reduced
-from .given_states import checked_state, known_system
+from .given_states import checked_state, known_system, time_of
 from .singular_states import Examined, examined, refuse
 from .system import KaneState, KaneSystem
+from .system_arguments import chosen_numbers
 
 # By places and inputs; the rates themselves, and the equations that they come from.
 _Derivatives: TypeAlias = tuple[tuple[Array, Array], tuple[Array, Reduced]]
@@ -65,12 +66,11 @@ def linearize(
             entries of the parameters (``lambda p: (p["k"], p["F"])``); left out, none.
 
     Raises:
-        FieldError: a state of another shape, or not finite; dependent ones among the
-            chosen, or inputs without parameters or
-            that are none of them; what
-            ``simulate`` refuses of a start; dependent coordinates that the
-            configuration does not determine; constraints by multipliers. Nothing is
-            said of traced numbers.
+        FieldError: a state of another shape, or not finite; several times; dependent
+            ones among the chosen, or one twice; inputs without parameters or that are
+            none of them; what ``simulate`` refuses of a start; dependent coordinates
+            that the configuration does not determine; constraints by multipliers.
+            Nothing is said of traced numbers.
 
     Source: theory of implicit functions: dependent coordinates follow with
     ``dq_d = -(dF/dq_d)^-1 (dF/dq_i dq_i + dF/dr dr)``.
@@ -84,6 +84,7 @@ def linearize(
             "chosen as dependent",
             "name dependent speeds (of rolling contacts: RollingSystem.eliminated)",
         )
+    time_of("linearize.t", t)
     state = checked_state("linearize.state", system, state, float)
     known = not is_traced(system, t, state)
     if known and not all(np.isfinite(x).all() for x in (state.q, state.u)):
@@ -92,8 +93,9 @@ def linearize(
     # by JAX a known time could be traced
     when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
     t = cast(Array, when)
-    free = _chosen("q_ind", q_ind, system.independent_coordinates)
-    moving = _chosen("u_ind", u_ind, system.independent)
+    places = system.coordinates, system.independent_coordinates
+    free = _chosen("linearize.q_ind", q_ind, *places)
+    moving = _chosen("linearize.u_ind", u_ind, system.speeds, system.independent)
     if inputs is not None and system.parameters is None:
         raise FieldError(
             "linearize.inputs",
@@ -173,16 +175,17 @@ def _linearized(
 
 
 def _chosen(
-    name: str, numbers: Iterable[int] | None, independent: tuple[int, ...]
+    field: str,
+    numbers: Iterable[int] | None,
+    count: int,
+    independent: tuple[int, ...],
 ) -> tuple[int, ...]:
-    chosen = independent if numbers is None else tuple(numbers)
+    if numbers is None:
+        return independent
+    chosen = chosen_numbers(field, numbers, count)
     if not set(chosen) <= set(independent):
-        raise FieldError(
-            f"linearize.{name}",
-            numbers,
-            "names dependent ones, or such as there are not",
-            f"choose among {independent}",
-        )
+        problem, remedy = "names dependent ones", f"choose among {independent}"
+        raise FieldError(field, chosen, problem, remedy)
     return chosen
 
 

@@ -191,7 +191,7 @@ class KaneSystem(eqx.Module):
             field, size = "KaneSystem.generalized_forces", example[2].shape
             self.generalized_forces = motion(field, generalized_forces, size)
         self.by_multipliers = dependent is None
-        self.dependent = chosen_numbers("dependent", dependent, speeds)
+        self.dependent = chosen_numbers("KaneSystem.dependent", dependent, speeds)
         if constraints is not None and self.by_multipliers:
             self.constraints = motion("KaneSystem.constraints", constraints, None)
         else:
@@ -199,7 +199,7 @@ class KaneSystem(eqx.Module):
                 motion, "constraints", constraints, "dependent", self.dependent
             )
         self.dependent_coordinates = chosen_numbers(
-            "dependent_coordinates", dependent_coordinates, coordinates
+            "KaneSystem.dependent_coordinates", dependent_coordinates, coordinates
         )
         self.configuration = bound_by(
             motion,

@@ -33,11 +33,15 @@ def counts_of(**given: Any) -> tuple[int, ...]:
 
 
 def chosen_numbers(
-    name: str, numbers: Iterable[int] | None, count: int
+    field: str, numbers: Iterable[int] | None, count: int
 ) -> tuple[int, ...]:
-    """Different numbers of speeds or coordinates; None: none."""
+    """Different numbers of speeds or coordinates; None: none.
+
+    Raises:
+        FieldError: one that there is not, one twice, or what is no whole number.
+    """
     numbers = () if numbers is None else numbers
-    given = in_a_row(f"KaneSystem.{name}", numbers)
+    given = in_a_row(field, numbers)
     try:
         chosen = tuple(operator.index(k) for k in given)
         good = len(set(chosen)) == len(chosen) and all(0 <= k < count for k in chosen)
@@ -45,7 +49,7 @@ def chosen_numbers(
         chosen, good = (), False
     if not good:
         raise FieldError(
-            f"KaneSystem.{name}",
+            field,
             numbers,
             "must be different numbers of those that there are",
             f"give numbers from 0 to {count - 1}",
