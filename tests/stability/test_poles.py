@@ -127,16 +127,22 @@ def test_poles_of_the_base(beside):
 
 
 def test_gradient_at_a_pole():
-    """Forward derivatives at the very pole are finite and equal differences."""
-    R = axis_down(2, 1, 0.0)
+    """Derivatives of a run from the very pole, by its spin and by its tilt."""
+    q0 = jnp.asarray(problems.quaternion(axis_down(2, 1, 0.0)))
 
-    def end(surface, spin):
+    def end(surface, given):
+        spin, first, second = given
         scene = rk.Scene(rk.Body(1.5, np.diag(MOMENTS), surface))
         omega = jnp.stack([spin, jnp.asarray(5.0), jnp.asarray(0.5)])
-        start = rk.place(scene, problems.quaternion(R), omega, (0.0, 0.0, 0.0))
+        w, x, y, z = q0
+        # tilted about axes of the body's rim, to first order: (0, first, second, 0) / 2
+        by_first, by_second = jnp.stack([-x, w, z, -y]), jnp.stack([-y, -z, w, x])
+        q = q0 + 0.5 * (first * by_first + second * by_second)
+        start = rk.place(scene, q / jnp.sqrt(q @ q), omega, (0.0, 0.0, 0.0))
         return rk.simulate(scene, start, (0.0, 0.4), rtol=1e-12).final_state.orientation
 
     round_ = rk.Revolution(lambda s: (0.2 * jnp.sin(s), -0.1 * jnp.cos(s)))
-    exact = jax.jit(jax.jacfwd(lambda s: end(rk.Ellipsoid((0.2, 0.2, 0.1)), s)))(2.0)
-    found = jax.jit(jax.jacfwd(lambda s: end(round_, s)))(2.0)
+    at = jnp.array([2.0, 0.0, 0.0])
+    exact = jax.jit(jax.jacfwd(lambda x: end(rk.Ellipsoid((0.2, 0.2, 0.1)), x)))(at)
+    found = jax.jit(jax.jacfwd(lambda x: end(round_, x)))(at)
     np.testing.assert_allclose(found, exact, atol=1e-8)

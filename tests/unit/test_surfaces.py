@@ -303,6 +303,10 @@ def test_derivatives_at_the_very_pole(name):
         np.testing.assert_allclose(moved.position, travel(geometry, x), atol=TIGHT)
         turned = -geometry.frame[:, :2] @ (geometry.frame_rates @ x)
         np.testing.assert_allclose(moved.normal, turned, atol=TIGHT)
+        # and the frame stays one
+        across = geometry.frame.T @ moved.frame
+        np.testing.assert_allclose(across + across.T, 0.0, atol=TIGHT)
+        np.testing.assert_allclose(across[2, :2], geometry.frame_rates @ x, atol=TIGHT)
 
 
 BAD = {

@@ -54,9 +54,10 @@ class Revolution(AbstractPointSurface):
     """A surface of revolution about the z axis, by its meridian.
 
     Where the meridian meets the axis the surface is smooth, and a body rolls through
-    that pole like anywhere else. Coordinates: with no pole the pair (s, angle about
-    z [rad]); with one, the pair ``|s - pole| * (cos, sin)``; with two, a direction
-    whose polar angle runs from the first pole to the last.
+    that pole like anywhere else; at the very pole first derivatives alone are right.
+    Coordinates: with no pole the pair (s, angle about z [rad]); with one, the pair
+    ``|s - pole| * (cos, sin)``; with two, a direction whose polar angle runs from the
+    first pole to the last.
 
     Attributes:
         profile: The user's function, with its parameters.
@@ -178,6 +179,10 @@ class Revolution(AbstractPointSurface):
         around = jnp.where(at_pole, r_1 * place.edge, r / safe)
         lean = jnp.where(at_pole, z_2 * place.edge, z_1 / safe)
         side = self._side
+        # so do those of the tangents, which tilt with the normal: through x and y, too
+        rise = jnp.where(at_pole, lean * (x * cosine + y * sine), z_1)
+        round_ = side * lean * (x * sine - y * cosine)
+        tilt = jnp.where(at_pole, round_ / jnp.where(at_pole, r_1, 1.0), 0.0)
         bend = (r_1 * z_2 - z_1 * r_2) / (length * length) * place.rate
         w11, w22 = -side * bend, -side * lean / length
         return LocalGeometry(
@@ -185,8 +190,8 @@ class Revolution(AbstractPointSurface):
             position=jnp.stack([around * x, around * y, z]),
             frame=jnp.stack(
                 [
-                    jnp.stack([r_1 * cosine, r_1 * sine, z_1]) / length,
-                    jnp.stack([side * sine, -side * cosine, zero]),
+                    jnp.stack([r_1 * cosine, r_1 * sine, rise]) / length,
+                    jnp.stack([side * sine, -side * cosine, tilt]),
                     jnp.stack([lean * x, lean * y, -r_1]) * (side / length),
                 ],
                 axis=1,
