@@ -11,10 +11,11 @@ import numpy as np
 from ..dynamics.consistency import consistent
 from ..dynamics.scene import Scene
 from . import uncertainty
+from .evaluation import Evaluation
 from .experiments import Problem
 from .horizons import Search, Stage
 from .layout import Coordinates, Layout
-from .least_squares import Evaluation, loss_of
+from .least_squares import loss_of
 from .unseen import described
 
 

@@ -14,8 +14,8 @@ from ..hybrid.modes import Modes
 from ..kinematics.coordinates import State
 from ..simulation.run_options import RunOptions
 from ..validation.codes import Code
+from .evaluation import Evaluation
 from .layout import Coordinates, Layout
-from .least_squares import Evaluation
 from .parameters import Free, Model, Tied
 from .records import Record
 from .residuals import Group, Residuals, grouped, linearized, within

@@ -11,14 +11,15 @@ from ..kinematics.coordinates import State
 from ..simulation.run_checks import check_span
 from ..simulation.run_options import RunOptions
 from ..validation.checks import FieldError, not_negative, whole
+from .directions import not_seen
+from .evaluation import Evaluation
 from .experiments import Problem
 from .fit_result import Fit
 from .horizons import Search, followed, progressive, single
-from .least_squares import Evaluation, Loss, loss_of
+from .least_squares import Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
 from .residuals import Group, with_delay_bounds
-from .uncertainty import unseen_directions
 from .unit_hints import hint_of_units
 
 STRATEGIES = ("auto", "single", "progressive")
@@ -47,7 +48,8 @@ def fit(
     """Parameters for which the motion agrees best with records of it.
 
     Levenberg and Marquardt's method on exact derivatives. The model's own values are
-    the first guess. A run that cannot go on counts as misfit, and is counted.
+    the first guess. A run that cannot go on counts as misfit, and is counted. What the
+    guess does not show stays there until more than noise shows it.
 
     Args:
         scene: The model, with a guess for what is free.
@@ -90,19 +92,21 @@ def fit(
     z0 = guesses[0]
     at = problem.evaluate(z0)
     check_usable(at)
-    if not at.failed and len(unseen_directions(at, problem.layout)) == z0.size:
+    first = not_seen(at, problem.layout.scale)
+    if not at.failed and len(first) == z0.size:
         named = tuple(e.free.path for e in problem.layout.entries)
         remedy = "free what the samples depend on, or record what depends on these"
         raise FieldError("fit.free", named, "is not seen in the records", remedy)
     hint_of_units(problem, z0)
     problem.progress = progress
-    searches = [_search(problem, guess, known, strategy, most) for guess in guesses]
+    rest = known, strategy, most, first
+    searches = [_search(problem, guess, *rest) for guess in guesses]
     best = min(searches, key=lambda s: s.minimum.cost)
     if any(problem.deviations):
         for _ in range(_NOISE_ROUNDS):
             if not problem.with_noise_of(best.minimum.z):
                 break
-            again = single(problem, best.minimum.z, known, most)
+            again = single(problem, best.minimum.z, known, most, first)
             best = _continued(best, again)
     return Fit.of(problem, best, searches, loss)
 
@@ -182,12 +186,17 @@ def _latest(group: Group, free: tuple[Free | Tied, ...]) -> float:
 
 
 def _search(
-    problem: Problem, z: np.ndarray, loss: Loss, strategy: str, most: int
+    problem: Problem,
+    z: np.ndarray,
+    loss: Loss,
+    strategy: str,
+    most: int,
+    first: np.ndarray,
 ) -> Search:
     far = strategy == "progressive"
     if strategy == "auto":
         far = followed(problem, z, least=0.0) < problem.span
-    return (progressive if far else single)(problem, z, loss, most)
+    return (progressive if far else single)(problem, z, loss, most, first)
 
 
 def _continued(first: Search, again: Search) -> Search:
@@ -197,7 +206,7 @@ def _continued(first: Search, again: Search) -> Search:
         evaluations=before.evaluations + last.evaluations,
         path=np.concatenate([before.path, last.path[1:]]),
     )
-    return Search(whole, first.stages + again.stages[-1:])
+    return Search(whole, first.stages + again.stages[-1:], first.first)
 
 
 def _guesses(

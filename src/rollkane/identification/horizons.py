@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .evaluation import Evaluation
 from .experiments import LONGER, Problem
-from .least_squares import FIRST_DAMPING, Evaluation, Loss, Minimum, minimize
+from .least_squares import FIRST_DAMPING, Loss, Minimum, minimize
 
 # A prediction follows a record as long as its misfit is below this share of the
 # record's own variation (both as root mean squares up to there): an oscillation that is
@@ -42,26 +43,38 @@ class Stage(NamedTuple):
 
 
 class Search(NamedTuple):
-    """What a search found, and how it went."""
+    """What a search found, and how it went.
+
+    Attributes:
+        minimum: Where it ended.
+        stages: Horizons on its way.
+        first: Directions that the first guess does not show in the whole records, rows
+            relative to the coordinates' sizes.
+    """
 
     minimum: Minimum
     stages: list[Stage]
+    first: np.ndarray
 
 
-def single(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Search:
+def single(
+    problem: Problem, z: np.ndarray, loss: Loss, most: int, first: np.ndarray
+) -> Search:
     """One search over the whole records."""
-    layout = problem.layout
-    found = minimize(problem.evaluate, z, *layout.box, loss, most)
-    return Search(found, [_stage(problem, found, np.inf)])
+    box = problem.layout.box
+    found = minimize(problem.evaluate, z, *box, loss, most, first=first)
+    return Search(found, [_stage(problem, found, np.inf)], first)
 
 
-def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Search:
+def progressive(
+    problem: Problem, z: np.ndarray, loss: Loss, most: int, first: np.ndarray
+) -> Search:
     """Searches up to growing horizons, each from what the last one found.
 
     Where one ends in a minimum that the record leaves, others from around the first
     guess are tried: a short horizon is cheap, and no longer one can mend it.
     """
-    growth = _Growth(problem, loss, z)
+    growth = _Growth(problem, loss, z, first)
     horizon = followed(problem, z, least=_shortest(problem))
     guesses = _GUESSES
     while horizon < problem.span:
@@ -74,21 +87,24 @@ def progressive(problem: Problem, z: np.ndarray, loss: Loss, most: int) -> Searc
         growth.path.extend(found.path)
         growth.stages.append(_stage(problem, found, horizon))
         horizon = followed(problem, z, 1.25 * horizon, LONGER * horizon)
-    box = problem.layout.box
-    last = minimize(problem.evaluate, z, *box, loss, most, damping=growth.damping)
+    known = *problem.layout.box, loss, most
+    last = minimize(problem.evaluate, z, *known, damping=growth.damping, first=first)
     growth.stages.append(_stage(problem, last, np.inf))
     whole = last._replace(
         evaluations=growth.evaluations + last.evaluations,
         path=np.concatenate([np.array(growth.path).reshape(-1, z.size), last.path]),
     )
-    return Search(whole, growth.stages)
+    return Search(whole, growth.stages, first)
 
 
 class _Growth:
     """What searches up to growing horizons have in common, and how far they are."""
 
-    def __init__(self, problem: Problem, loss: Loss, first: np.ndarray):
-        self.problem, self.loss, self.first = problem, loss, first
+    def __init__(
+        self, problem: Problem, loss: Loss, guess: np.ndarray, hidden: np.ndarray
+    ):
+        self.problem, self.loss = problem, loss
+        self.first, self.hidden = guess, hidden
         self.random = np.random.default_rng(0)
         self.stages: list[Stage] = []
         self.path: list[np.ndarray] = []
@@ -98,7 +114,7 @@ class _Growth:
         """The minimum up to a horizon."""
         held = _weakly_held(self.problem, z, horizon)
         known = *self.problem.layout.box, self.loss, _FEW, _ENOUGH, self.damping
-        found = minimize(held, z, *known)
+        found = minimize(held, z, *known, self.hidden)
         self.evaluations += found.evaluations
         return found
 

@@ -8,17 +8,22 @@ far away. A coordinate on its bound is left out as long as the descent leads out
 the linear model says of the cut step. A search whose last step would reach a bound ends
 on it, not beside it by less than the search waits for: what is held there is known.
 
+Steps do not go along directions that misfits do not show: there roundings of the others
+would lead. What the first guess does not show waits until more than noise shows it.
+
 Where misfits bend along a narrow valley, a straight step leaves it soon. What they bent
 by along the last step is known without another run; a second-order correction by it
 (geodesic acceleration: Transtrum and Sethna, 2012) makes steps follow the valley.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from ..validation.checks import FieldError
+from .directions import not_seen, waiting, without
+from .evaluation import Evaluation
 
 # Least fall of twice the cost that is waited for: chi-square changes by 1 within one
 # standard deviation, so that 1e-6 of it is 1e-3 of a standard deviation.
@@ -42,49 +47,12 @@ _LEAST_SCORE = 1e-6  # of a mean slope, beside 1 of least squares
 _OfSquares: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
-class Evaluation(NamedTuple):
-    """Residuals at a point.
-
-    Attributes:
-        residual: Over their deviations, shape (N,), finite.
-        jacobian: Shape (N, P).
-        failed: Runs that did not reach their end.
-        rounding: Of the derivatives by relative changes of the coordinates.
-        priors: How many residuals, the last ones, are of priors: normal, whatever the
-            loss of the samples.
-    """
-
-    residual: np.ndarray
-    jacobian: np.ndarray
-    failed: int
-    rounding: float = 0.0
-    priors: int = 0
-
-    def by_kind(self, of_samples: Any, of_priors: float) -> np.ndarray:
-        """Numbers of the samples, and one for each prior behind them, shape (N,)."""
-        samples = self.residual.size - self.priors
-        ours = np.broadcast_to(of_samples, (samples,))
-        return np.concatenate([ours, np.full(self.priors, of_priors)])
-
-    @property
-    def of_samples(self) -> np.ndarray:
-        """Residuals without those of priors."""
-        return self.residual[: self.residual.size - self.priors]
-
-    @property
-    def usable(self) -> bool:
-        """Whether all numbers are finite."""
-        return bool(
-            np.isfinite(self.residual).all() and np.isfinite(self.jacobian).all()
-        )
-
-
 class Minimum(NamedTuple):
     """Where a search ended.
 
     Attributes:
         z: Coordinates, shape (P,).
-        at: Residuals there.
+        at: Residuals there; derivatives by what still waits are taken out.
         cost: Half of the sum of losses.
         evaluations: How many points were tried.
         converged: Whether no step promised more.
@@ -174,6 +142,7 @@ def minimize(
     most: int = 100,
     least: float = _LEAST_FALL,
     damping: float = FIRST_DAMPING,
+    first: np.ndarray | None = None,
 ) -> Minimum:
     """Search for a minimum of half the sum of losses.
 
@@ -187,19 +156,23 @@ def minimize(
         most: Points tried.
         least: Fall of twice the cost that is waited for.
         damping: Of the first step.
+        first: Directions that the first guess does not show, rows relative to sizes;
+            None: the start is the first guess.
 
     Returns:
         The best point; where the start has no numbers, the start.
     """
     z = np.clip(start, lower, upper)
     at = evaluate(z)
+    first = not_seen(at, size) if first is None else first
     evaluations, cost = 1, _cost(at, loss)
     path, scale, bend = [z], np.zeros_like(z), None
     grows, reach, converged = 2.0, _FIRST_REACH, False
     while at.usable and evaluations < most and damping < _MOST_DAMPING:
-        root = np.sqrt(at.by_kind(loss.weight(at.of_samples**2), 1.0))
-        r, J = root * at.residual, root[:, None] * at.jacobian
-        scale = np.maximum(scale, np.linalg.norm(J, axis=0))
+        root = _root_weights(at, loss)
+        r, whole = root * at.residual, root[:, None] * at.jacobian
+        scale = np.maximum(scale, np.linalg.norm(whole, axis=0))
+        J = _shown(at._replace(residual=r, jacobian=whole), size, first)
         box = lower - z, upper - z
         step = _step(r, J, *box, damping, scale)
         while np.max(np.abs(step) / size) > reach and damping < _MOST_DAMPING:
@@ -235,7 +208,31 @@ def minimize(
         else:
             damping, grows = damping * grows, 2.0 * grows
             reach = 0.5 * min(reach, np.max(np.abs(step) / size))
+    at = _known(at, size, loss, first)
     return Minimum(z, at, cost, evaluations, converged, np.array(path), damping)
+
+
+def _root_weights(at: Evaluation, loss: Loss) -> np.ndarray:
+    """What a loss multiplies residuals with, shape (N,)."""
+    return np.sqrt(at.by_kind(loss.weight(at.of_samples**2), 1.0))
+
+
+def _shown(at: Evaluation, size: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """Derivatives by what a step may move."""
+    shown = without(at.jacobian, size, waiting(at, size, first))
+    return without(shown, size, not_seen(at._replace(jacobian=shown), size))
+
+
+def _known(
+    at: Evaluation, size: np.ndarray, loss: Loss, first: np.ndarray
+) -> Evaluation:
+    """Residuals whose derivatives are by what has not waited."""
+    if not at.usable:
+        return at
+    root = _root_weights(at, loss)
+    r, J = root * at.residual, root[:, None] * at.jacobian
+    rows = waiting(at._replace(residual=r, jacobian=J), size, first, shown=True)
+    return at._replace(jacobian=without(at.jacobian, size, rows))
 
 
 class Bend(NamedTuple):
@@ -309,7 +306,7 @@ def _step(
         ((lower >= 0.0) & (gradient > 0.0)) | ((upper <= 0.0) & (gradient < 0.0))
     )
     step = np.zeros_like(scale)
-    seen = scale > 0.0
+    seen = J.any(axis=0)
     for _ in range(step.size):
         moves = inside & seen
         if not moves.any():

@@ -8,9 +8,11 @@ import numpy as np
 
 from . import uncertainty
 from .estimates import Estimates, standard_errors_of
+from .evaluation import Evaluation
 from .experiments import Problem
+from .horizons import Search
 from .layout import Coordinates
-from .least_squares import Evaluation, minimize
+from .least_squares import minimize
 from .transform_values import values_at
 from .transforms import Plain, Positive
 
@@ -33,9 +35,9 @@ def profile_interval(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the least chi2 with an entry held has risen by the level's quantile."""
     rise = NormalDist().inv_cdf(0.5 + 0.5 * level) ** 2
-    problem, z = fit.problem, fit.search.minimum.z
+    problem = fit.problem
     ends = {
-        entry.where.start: _of_entry(problem, entry, z, rise)
+        entry.where.start: _of_entry(problem, entry, fit.search, rise)
         for entry in problem.layout.entries
         if entry.free.path == path
     }
@@ -47,11 +49,11 @@ def profile_interval(
 
 
 def _of_entry(
-    problem: Problem, entry: Coordinates, z: np.ndarray, rise: float
+    problem: Problem, entry: Coordinates, search: Search, rise: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Ends for every entry of one parameter, in its shape."""
+    z, at = search.minimum.z, search.minimum.at
     value, _, slope, _ = entry.at(z)
-    at = problem.evaluate(z)
     known = uncertainty.coordinate_covariance(at, problem.layout, z, bounded=False)
     unseen = uncertainty.unseen_directions(at, problem.layout)
     errors = np.ravel(standard_errors_of(entry, z, known, unseen))
@@ -70,8 +72,8 @@ def _of_entry(
             size = float(np.abs(value).max()) or error
             step = min(error, size)
             farthest = _FARTHEST * error / step
-            low[k] = _end(problem, entry, k, z, -step, rise, farthest)
-            high[k] = _end(problem, entry, k, z, step, rise, farthest)
+            low[k] = _end(problem, entry, k, search, -step, rise, farthest)
+            high[k] = _end(problem, entry, k, search, step, rise, farthest)
     least, most = _allowed(entry)
     low, high = np.maximum(low, least), np.minimum(high, most)
     return low.reshape(value.shape), high.reshape(value.shape)
@@ -90,14 +92,14 @@ def _end(
     problem: Problem,
     entry: Coordinates,
     k: int,
-    z: np.ndarray,
+    search: Search,
     error: float,
     rise: float,
     farthest: float,
 ) -> float:
     """Where the profile has risen, on the side of the error's sign."""
-    layout = problem.layout
-    least = float(np.sum(problem.evaluate(z).residual ** 2))
+    layout, z = problem.layout, search.minimum.z
+    least = float(np.sum(search.minimum.at.residual**2))
     number: Callable[[np.ndarray], float]
     number = lambda z: float(np.ravel(entry.at(z).value)[k])
     middle, width = number(z), _HELD * abs(error)
@@ -113,7 +115,7 @@ def _end(
             residual = np.append(at.residual, (number(x) - goal) / width)
             return Evaluation(residual, np.concatenate([at.jacobian, row]), at.failed)
 
-        found = minimize(evaluate, point, *layout.box, most=30)
+        found = minimize(evaluate, point, *layout.box, most=30, first=search.first)
         point, reached = found.z, number(found.z)
         risen = float(np.sum(found.at.residual[:-1] ** 2)) - least
         taken = (reached - middle) / error

@@ -1,78 +1,18 @@
 """How well parameters are known: covariances from J^T J, and what is not seen."""
 
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from jax.scipy.special import gammainc
 from scipy import linalg  # pyright: ignore[reportMissingTypeStubs]
 
+from .directions import Spectrum, not_seen, spectrum
+from .evaluation import Evaluation
 from .layout import Layout
-from .least_squares import LOSSES, Evaluation, Loss, score_moments
+from .least_squares import LOSSES, Loss, score_moments
 
 _SQUARES = LOSSES["linear"]
-
-# Singular values of the scaled Jacobian below this share of the largest are rounding:
-# runs are good to 1e-9 of their size, and their derivatives to little worse.
-UNSEEN = 1e-7
-_MOVES = 10.0 * UNSEEN  # of a number's largest slope: directions are known to UNSEEN
-
-
-class Spectrum(NamedTuple):
-    """Singular values of a Jacobian whose columns are relative to a scale.
-
-    Attributes:
-        values: Decreasing, shape (P,).
-        directions: Rows: directions in scaled coordinates, shape (P, P).
-        scale: Of the coordinates, shape (P,).
-        rounding: Of the values.
-    """
-
-    values: np.ndarray
-    directions: np.ndarray
-    scale: np.ndarray
-    rounding: float
-
-    @property
-    def seen(self) -> np.ndarray:
-        """Which directions change the prediction, shape (P,)."""
-        largest = self.values.max(initial=0.0)
-        return self.values > max(UNSEEN * largest, self.rounding)
-
-    @property
-    def condition(self) -> float:
-        """Largest over smallest singular value; infinite where one is not seen."""
-        if not self.seen.all():
-            return np.inf
-        return float(self.values[0] / self.values[-1])
-
-
-def spectrum(
-    at: Evaluation, scale: np.ndarray, inside: np.ndarray | slice = slice(None)
-) -> Spectrum:
-    """Singular values of the Jacobian by coordinates relative to their scale.
-
-    What samples say of a direction is known to a share of all that they say; what a
-    prior says, exactly. So the row of a prior counts as no longer than the samples'
-    largest singular value: one number that is known well hides no other. All are zero
-    where the Jacobian is not finite.
-
-    Args:
-        at: Misfits and their derivatives.
-        scale: Of the coordinates, shape (P,).
-        inside: Which coordinates are looked at.
-    """
-    scale = scale[inside]
-    columns = at.jacobian[:, inside] * scale
-    if not np.isfinite(columns).all():
-        return Spectrum(np.zeros(scale.size), np.eye(scale.size), scale, at.rounding)
-    samples, priors = np.split(columns, [at.of_samples.size])
-    largest = np.linalg.svd(samples, compute_uv=False).max(initial=0.0)
-    most = max(float(largest), at.rounding / UNSEEN) or np.inf
-    longer = np.maximum(np.linalg.norm(priors, axis=1, keepdims=True) / most, 1.0)
-    missing = np.zeros((max(scale.size - len(columns), 0), scale.size))
-    rows = np.concatenate([samples, priors / longer, missing])
-    _, values, directions = np.linalg.svd(rows, full_matrices=False)
-    return Spectrum(values, directions, scale, at.rounding)
+_MOVES = 1e-6  # of a number's largest slope: directions are known to 1e-7, as UNSEEN
 
 
 def coordinate_covariance(
@@ -149,8 +89,7 @@ def active(
 
 def unseen_directions(at: Evaluation, layout: Layout) -> np.ndarray:
     """Directions in coordinates that change nothing, rows, shape (D, P)."""
-    parts = spectrum(at, layout.scale)
-    return parts.directions[~parts.seen] * parts.scale
+    return not_seen(at, layout.scale) * layout.scale
 
 
 def hidden(slopes: np.ndarray, unseen: np.ndarray, where: slice) -> np.ndarray:

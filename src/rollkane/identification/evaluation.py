@@ -1,0 +1,42 @@
+"""Misfits at a point, and their derivatives."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Evaluation(NamedTuple):
+    """Residuals at a point.
+
+    Attributes:
+        residual: Over their deviations, shape (N,), finite.
+        jacobian: Shape (N, P).
+        failed: Runs that did not reach their end.
+        rounding: Of the derivatives by relative changes of the coordinates.
+        priors: How many residuals, the last ones, are of priors: normal, whatever the
+            loss of the samples.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    failed: int
+    rounding: float = 0.0
+    priors: int = 0
+
+    def by_kind(self, of_samples: Any, of_priors: float) -> np.ndarray:
+        """Numbers of the samples, and one for each prior behind them, shape (N,)."""
+        samples = self.residual.size - self.priors
+        ours = np.broadcast_to(of_samples, (samples,))
+        return np.concatenate([ours, np.full(self.priors, of_priors)])
+
+    @property
+    def of_samples(self) -> np.ndarray:
+        """Residuals without those of priors."""
+        return self.residual[: self.residual.size - self.priors]
+
+    @property
+    def usable(self) -> bool:
+        """Whether all numbers are finite."""
+        return bool(
+            np.isfinite(self.residual).all() and np.isfinite(self.jacobian).all()
+        )
