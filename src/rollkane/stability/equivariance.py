@@ -1,7 +1,7 @@
-"""Whether equations keep their form under a group: Lie brackets at random states."""
+"""Whether equations keep their form under a group: Lie brackets at drawn states."""
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -9,60 +9,65 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
-from ..dynamics.consistency import consistent
 from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..geometry.small_linear import norm
-from ..kinematics.coordinates import SlidingState, State, pack, shared_parts, unpack
+from ..kinematics.coordinates import SlidingState, State, pack, unpack
 from .group_actions import Action, base_turn, carried_by, carrying_with, tangent
-from .surface_motions import null_space, seeds
+from .state_draws import ROWS, Draws, drawn, rows_of
+from .surface_motions import null_space
 
-_STATES = 16  # random ones at which equations are compared
 _FEW = 4  # of them, where the same is compared at many times
 
 
-def random_draws(scene: Scene, dtype: np.dtype[Any]) -> tuple[Array, State]:
-    """Times and states of any kind, not yet consistent."""
-    draw = np.random.default_rng(1)
+class Tested(NamedTuple):
+    """Brackets at draws.
 
-    def normal(*shape: int) -> Array:
-        return jnp.asarray(draw.standard_normal(shape), dtype)
+    Attributes:
+        brackets: Of the right-hand side with every candidate, that of time last, shape
+            (N, numbers of a state, K + 1).
+        sizes: What they are small beside, shape (N, numbers of a state).
+        near: Whether a draw is near a given state, shape (N,).
+        fast: Whether velocities in it are of one in any case, shape (N,).
+    """
 
-    def pick(u: np.ndarray) -> Array:
-        return jnp.asarray(u[draw.integers(u.shape[0], size=_STATES)], dtype)
+    brackets: np.ndarray
+    sizes: np.ndarray
+    near: np.ndarray
+    fast: np.ndarray
 
-    on_body = jnp.zeros((_STATES, 0), dtype)
-    if scene.has_contact_coordinates:
-        on_body = pick(seeds(scene.body.surface))
-    n = scene.coordinate_count
-    state = State(
-        orientation=normal(_STATES, 4),
-        angular_velocity=normal(_STATES, 3),
-        contact_on_base=pick(seeds(scene.base.surface)),
-        contact_on_body=on_body,
-        alpha=normal(_STATES, n),
-        alpha_dot=normal(_STATES, n),
+    @property
+    def good(self) -> np.ndarray:
+        """Draws at which all of it is finite, shape (N,)."""
+        finite = np.all(np.isfinite(self.sizes), axis=1)
+        return finite & np.all(np.isfinite(self.brackets), axis=(1, 2))
+
+    def with_more(self, more: "Tested") -> "Tested":
+        """Both."""
+        return Tested(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
+def tested(scene: Scene, action: Action, draws: Draws) -> Tested:
+    """Brackets at draws, by one program for all."""
+    found: list[Any] = []
+    for first in range(0, draws.times.size, ROWS):
+        some = rows_of(draws, slice(first, first + ROWS))
+        found.append(_brackets(scene, action, some._replace(near=(), fast=())))
+    brackets, sizes = (
+        np.concatenate([np.asarray(x) for x in parts])
+        for parts in zip(*found, strict=True)
     )
-    if scene.contact.slips:
-        state = SlidingState(**shared_parts(state), slip=normal(_STATES, 3))
-    return normal(_STATES), state
+    return Tested(brackets, sizes, draws.near, draws.fast)
 
 
 @for_one_call
-def brackets_of(
-    scene: Scene, action: Action, times: Array, states: State
-) -> tuple[Array, Array]:
-    """Lie brackets of the right-hand side with every candidate, and their sizes.
-
-    Returns:
-        Shapes (states, numbers of a state, K + 1), that of time last, and (states,
-        numbers of a state).
-    """
+def _brackets(scene: Scene, action: Action, draws: Any) -> tuple[Array, Array]:
+    """Lie brackets of the right-hand side with every candidate, and their sizes."""
     count = action.turn.shape[0]
-    axes = jnp.eye(count, dtype=times.dtype)
+    axes = jnp.eye(count, dtype=draws.times.dtype)
 
-    def at(t: Array, state: State) -> tuple[Array, Array]:
-        y = cast(State, consistent(scene, t, state))
+    def at(draw: Draws) -> tuple[Array, Array]:
+        t, y = jnp.asarray(draw.times), drawn(scene, jnp.asarray(draw.times), draw)
         one = jnp.ones_like(t)
 
         def rates(t: Array, y: State) -> Any:
@@ -92,11 +97,11 @@ def brackets_of(
             back = jnp.concatenate([others[1], back])
         return (ahead - back).T, _sizes(y, f, jnp.abs(ahead) + jnp.abs(back))
 
-    return jax.vmap(at)(times, states)
+    return jax.vmap(at)(draws)
 
 
 def carried_rates(
-    scene: Scene, drift: Action, times: np.ndarray, states: State
+    scene: Scene, drift: Action, times: np.ndarray, draws: Draws
 ) -> np.ndarray:
     """Rates of states that time carries along, by what turns leave alone.
 
@@ -104,21 +109,21 @@ def carried_rates(
         scene: What rolls on what.
         drift: What time does beside carrying states along with the base.
         times: [s], shape (T,).
-        states: Any, stacked.
+        draws: Of the states, at the time zero.
 
     Returns:
         Those, and sizes that they are told beside, shape (T, states, 2, y).
     """
-    some: Callable[[Array], Array] = lambda part: part[:_FEW]
-    few = jax.tree.map(some, states)
-    return np.asarray(_carried_rates(scene, drift, jnp.asarray(times), few), float)
+    few = rows_of(draws, np.linspace(0, draws.times.size - 1, _FEW).astype(int))
+    some = few._replace(near=(), fast=())
+    return np.asarray(_carried_rates(scene, drift, jnp.asarray(times), some), float)
 
 
 @for_one_call
-def _carried_rates(scene: Scene, drift: Action, times: Array, states: State) -> Array:
-    def at(t: Array, state: State) -> Array:
+def _carried_rates(scene: Scene, drift: Action, times: Array, draws: Any) -> Array:
+    def at(t: Array, draw: Draws) -> Array:
         zero = jnp.zeros_like(t)
-        y = cast(State, consistent(scene, zero, state))
+        y = drawn(scene, zero, draw)
         y = carried_by(scene, zero, t, y, drift)
         f = cast(State, rolling_derivative(scene, t, y))
         along = carrying_with(scene, t, y, drift)
@@ -137,7 +142,7 @@ def _carried_rates(scene: Scene, drift: Action, times: Array, states: State) -> 
         return jnp.stack(both)
 
     over = jax.vmap(at, (None, 0))
-    return jax.vmap(over, (0, None))(times, states)
+    return jax.vmap(over, (0, None))(times, draws)
 
 
 def _sizes(state: State, rates: State, terms: Float[Array, "K y"]) -> Array:
@@ -157,15 +162,21 @@ def _sizes(state: State, rates: State, terms: Float[Array, "K y"]) -> Array:
     return pack(jax.tree.map(largest, state, rates, summed))
 
 
-def equivariant(brackets: np.ndarray, sizes: np.ndarray, loose: float) -> np.ndarray:
+def equivariant(found: Tested, loose: float) -> np.ndarray:
     """Combinations of all candidates whose brackets vanish, shape (J, K + 1)."""
-    good = np.all(np.isfinite(sizes), axis=1)
-    good &= np.all(np.isfinite(brackets), axis=(1, 2))
-    count = brackets.shape[2]
-    if not good.any():
-        return np.zeros((0, count))
-    # of all states together, so that what vanishes at one does not count as rounding
-    scale = np.max(sizes[good], axis=0)
-    scale = np.where(scale > 0.0, scale, 1.0)
-    rows = (brackets[good] / scale[None, :, None]).reshape(-1, count)
-    return null_space(rows.astype(float), 10.0 * loose)
+    count = found.brackets.shape[2]
+    rows = [np.zeros((0, count))]
+    for near in (False, True):
+        some = found.good & (found.near == near)
+        if not some.any():
+            continue
+        sizes = found.sizes[some]
+        # of all states together, so that what vanishes at one does not count as
+        # rounding; near given ones of most that move, so that none hides the others
+        scale = np.max(sizes, axis=0)[None]
+        if near:
+            moving = found.fast[some] if found.fast[some].any() else slice(None)
+            scale = np.maximum(sizes, np.median(sizes[moving], axis=0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        rows.append((found.brackets[some] / scale[:, :, None]).reshape(-1, count))
+    return null_space(np.concatenate(rows).astype(float), 10.0 * loose)

@@ -8,6 +8,7 @@ space would in time hide the exponents below zero.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from os import PathLike
 from typing import Any, NamedTuple, cast
 
@@ -26,7 +27,7 @@ from ..validation.checks import FieldError, is_traced, positive, real, whole
 from ..validation.codes import Code, reason_of
 from .independent_coordinates import IndependentCoordinates, independent_coordinates
 from .neutral import neutral
-from .symmetries import symmetries
+from .symmetries import symmetries_at
 from .variational import carried, frame
 
 # The horizon in equal batches; exponents are of its second half, 32 of them.
@@ -74,9 +75,14 @@ class LyapunovSpectrum:
         """Names of exponents that are zero [1/s] for a known reason.
 
         The flow where nothing depends on time, symmetries of the scene, an energy that
-        is kept; as many as are independent at the start.
+        is kept; as many as are independent at the start. Symmetries hold near all of
+        ``states``.
         """
-        return neutral(self.around, symmetries(self.around.scene)).all_names
+        first, begin = self.around.reference, np.asarray(self.around.time)
+        join: Callable[[Any, Any], Any] = lambda a, b: np.concatenate([a[None], b])
+        visited = jax.tree.map(join, first, self.states)
+        group = symmetries_at(self.around.scene, np.append(begin, self.time), visited)
+        return neutral(self.around, group).all_names
 
     @property
     def sum(self) -> float:

@@ -19,7 +19,7 @@ from ..dynamics.rolling import rolling_derivative
 from ..dynamics.scene import Scene
 from ..kinematics.coordinates import State
 from .independent_coordinates import IndependentCoordinates
-from .symmetries import Symmetries
+from .symmetries import Symmetries, symmetries
 
 FLOW = "flow"
 # of directions scaled to unit length: those this close to depending on the others
@@ -63,8 +63,11 @@ def neutral(around: IndependentCoordinates, group: Symmetries) -> Neutral:
 
     Args:
         around: Coordinates around the state.
-        group: Symmetries of its scene.
+        group: Symmetries of its scene; those that were looked for near no state are
+            looked for near this one.
     """
+    if not group.placed:
+        group = symmetries(around.scene, around.reference, around.time)
     kind = observables.kept_energy(around.scene)
     autonomous = group.drift is not None
     rows, slopes = _rows(around, group, autonomous, kind)

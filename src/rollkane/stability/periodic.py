@@ -18,6 +18,7 @@ from .closing_newton import PERIOD, Held, Solved, coordinates_of, scales, solve
 from .floquet import Floquet, floquet
 from .independent_coordinates import independent_coordinates
 from .newton import SMALL
+from .orbit_symmetries import orbit, spread, verified_near
 from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
 from .repetition import check_repeats
@@ -206,6 +207,25 @@ def periodic_motion(
     )
     period = float(positive(f"{_FIELD}.period", period, (), "a time [s]"))
     segments = whole(f"{_FIELD}.segments", segments, 1, "give 1 or more")
+    seen = orbit(shot, start, period)
+    shot = verified_near(shot, seen)
+    while True:
+        motion = _motion(shot, start, period, segments, hold)
+        seen += orbit(shot, motion.state, motion.period)
+        verified = verified_near(shot, seen)
+        if len(verified.group) == len(shot.group) and verified.driven == shot.driven:
+            return motion
+        shot = verified  # of fewer symmetries, each time
+
+
+def _motion(
+    shot: Shooting,
+    start: State,
+    period: float,
+    segments: int,
+    hold: Mapping[str, Any] | None,
+) -> PeriodicMotion:
+    """The motion near a start, with what is held."""
     held = held_of(shot, start, period, hold)
     check_invariant(shot, start, held)
     if shot.driven:
@@ -307,7 +327,7 @@ def _prepared(
         raise FieldError(f"{_FIELD}.guess", str(dtype), problem, remedy)
     if options.rtol is None:
         options = options._replace(rtol=_RTOL)
-    group = symmetries(scene)
+    group = symmetries(scene, around.reference, time)
     shot = Shooting(scene, group, time, group.drift is None, options)
     return shot, around.reference
 
@@ -315,11 +335,7 @@ def _prepared(
 def _nodes(shot: Shooting, start: State, period: float, segments: int) -> Nodes:
     """Nodes along the run from the guess, and the displacement that fits its end."""
     K = len(shot.group)
-    states = [start]
-    length = period / segments
-    for k in range(segments - 1):
-        so_far = Nodes(tuple(states), length * (k + 1), np.zeros(K))
-        states.append(segment(shot, so_far, k, states[-1]).end)
+    states = spread(shot, start, period, segments)
     nodes = Nodes(tuple(states), period, np.zeros(K))
     if not K:
         return nodes

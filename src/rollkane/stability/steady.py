@@ -27,7 +27,7 @@ from .newton import (
     program_of,
     solved,
 )
-from .problem import AbstractProblem, rolling_problem
+from .problem import AbstractProblem, RollingProblem, rolling_problem
 from .quantities import held_quantities
 from .refusals import (
     refuse_moving,
@@ -36,7 +36,7 @@ from .refusals import (
     refuse_unsolved,
 )
 from .spectrum import Spectrum, spectrum
-from .symmetries import symmetries
+from .symmetries import symmetries, symmetries_at
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,6 +164,30 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     Source: docs/theory.md, (10.2) to (10.4).
     """
     problem, state = problem_of(scene, guess)
+    seen = [state]
+    while True:
+        asked, found = _solution(problem, state, hold)
+        seen.append(found.point.state)
+        verified = _verified(problem, seen)
+        if len(verified.group) == len(problem.group):
+            return motion_of(asked, found)
+        problem = verified  # of fewer symmetries, each time
+
+
+def _verified(problem: AbstractProblem, seen: list[Any]) -> AbstractProblem:
+    """The problem with the symmetries that hold near all of some states.
+
+    What a search comes to may be far from its guess, where less is symmetric.
+    """
+    if not isinstance(problem, RollingProblem):
+        return problem
+    stacked = jax.tree.map(lambda *parts: np.stack(parts), *seen)
+    group = symmetries_at(problem.scene, np.zeros(len(seen)), stacked)
+    return rolling_problem(problem.scene, group)
+
+
+def _solution(problem: AbstractProblem, state: Any, hold: Any) -> tuple[Asked, Solved]:
+    """What was asked of a problem with holds, and the solution near a guess."""
     quantities, values = held_quantities("steady_motion.hold", problem, state, hold)
     names, fast = problem.coordinates(state)
     asked = Asked(problem, None, quantities, np.zeros(len(quantities)))
@@ -182,7 +206,7 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     if not found.error < SOLVED:
         refuse_unsolved(asked, state, first, found)
     refuse_rest_that_is_none(state, first, found)
-    return motion_of(asked, found)
+    return asked, found
 
 
 def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
@@ -205,7 +229,7 @@ def problem_of(scene: Any, guess: Any) -> tuple[AbstractProblem, Any]:
         remedy = 'call jax.config.update("jax_enable_x64", True) first'
         raise FieldError("steady_motion.guess", "float32", problem, remedy)
     refuse_kind(scene, guess)
-    return rolling_problem(scene, symmetries(scene)), guess
+    return rolling_problem(scene, symmetries(scene, guess)), guess
 
 
 def guessed_velocities(point: Point) -> np.ndarray:

@@ -3,12 +3,12 @@
 Rigid motions that carry the base's surface or the body's into itself, and shifts of
 what is carried, are candidates; a combination of them is a symmetry where the
 right-hand side is equivariant: the Lie bracket of both vector fields vanishes at random
-states that the contact allows. So a surface, a load or a carried mass of the user's
-counts like any other.
+states that the contact allows, and near given ones. So a surface, a load or a carried
+mass of the user's counts like any other.
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -23,8 +23,10 @@ from ..dynamics.rolling_problem import corners
 from ..dynamics.scene import Scene, require_scene
 from ..kinematics.coordinates import State
 from ..validation.checks import FieldError, is_traced
-from .equivariance import brackets_of, carried_rates, equivariant, random_draws
+from .equivariance import Tested, carried_rates, equivariant, tested
 from .group_actions import Action, carried_by, carrying_with, moved_by, tangent
+from .independent_coordinates import refuse_kind
+from .state_draws import Draws, any_draws, both_draws, near_draws, rows_of
 from .surface_motions import LOOSE, SurfaceMotions, echelon, surface_motions
 from .time_dependence import differing, uses_time, wide_times
 
@@ -40,6 +42,7 @@ class Symmetries(eqx.Module):
             row; None: the scene depends on time and no motion takes that out.
         twists: Of each generator on the base: velocity of the base's origin [m/s] and
             angular velocity [rad/s], base axes, shape (K, 6).
+        placed: Whether they were looked for near given states, too.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -47,6 +50,7 @@ class Symmetries(eqx.Module):
     action: Action
     drift: Action | None
     twists: Float[Array | np.ndarray, "K 6"]
+    placed: bool = eqx.field(static=True)
 
     def __len__(self) -> int:
         """How many."""
@@ -134,7 +138,9 @@ class Symmetries(eqx.Module):
         return self.drift
 
 
-def symmetries(scene: Scene) -> Symmetries:
+def symmetries(
+    scene: Scene, state: State | None = None, time: ArrayLike = 0.0
+) -> Symmetries:
     """The symmetries of a scene, by name.
 
     ``"translation x"`` and ``"turn about z"`` move the body on its base, in base axes
@@ -146,76 +152,146 @@ def symmetries(scene: Scene) -> Symmetries:
 
     Args:
         scene: What rolls on what, under any loads; a base may glide or turn steadily.
+        state: Where the equations are compared, too, and close by. Without it what
+            breaks a symmetry far from the origin, or in a narrow place only (a magnet,
+            a wall, a detent), may be missed: they are compared at random states.
+        time: Of the state [s].
 
     Returns:
         ``Symmetries``: group velocities are in [m/s] and [rad/s].
 
     Raises:
-        FieldError: a traced scene, or one in which bodies roll on the rolling body.
+        FieldError: a traced scene, one in which bodies roll on the rolling body, a
+            state of another kind, one where the equations give no finite numbers.
 
     Source: docs/theory.md, (10.1).
     """
     require_scene("symmetries.scene", scene)
-    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten(scene))
-    if is_traced(leaves):
+    if is_traced(scene, state, time):
         problem, remedy = "is traced", "find symmetries outside of jit and derivatives"
         raise FieldError("symmetries.scene", "a traced scene", problem, remedy)
     refuse_rolling_parts("symmetries.scene", scene.supported)
-    known = [np.asarray(x) for x in leaves]
-    key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
-    if key not in _FOUND:
-        while len(_FOUND) >= _KEPT:
-            _FOUND.pop(next(iter(_FOUND)))
-        _FOUND[key] = _symmetries(scene)
-    return _FOUND[key]
+    if state is None:
+        return _remembered(_FOUND, scene, None, _symmetries)
+    refuse_kind(scene, state)
+    first: Callable[[Any], np.ndarray] = lambda part: np.asarray(part)[None]
+    return symmetries_at(scene, np.ravel(time), jax.tree.map(first, state))
 
 
-_FOUND: dict[Any, "Symmetries"] = {}  # by scene, the last few
+def symmetries_at(scene: Scene, times: ArrayLike, states: State) -> Symmetries:
+    """The symmetries of a scene that hold near all given states, too.
+
+    Args:
+        scene: Not traced, and without bodies that roll on the rolling body.
+        times: Of the states [s], shape (P,).
+        states: Of the scene's kind, every array with a leading P.
+
+    Raises:
+        FieldError: near none of them the equations give finite numbers.
+    """
+    places = np.asarray(times, float), jax.tree.map(np.asarray, states)
+    return _remembered(_FOUND, scene, places, _symmetries)
+
+
+_FOUND: dict[Any, Any] = {}  # by scene and states, the last few
+_ANYWHERE: dict[Any, Any] = {}  # what no state belongs to, by scene
 _KEPT = 32
 
 
-def _symmetries(scene: Scene) -> Symmetries:
+def _remembered(kept: dict[Any, Any], scene: Scene, places: Any, make: Any) -> Any:
+    """What is made of a scene and places, once."""
+    leaves, tree = cast(tuple[list[Any], Any], jax.tree.flatten((scene, places)))
+    known = [np.asarray(x) for x in leaves]
+    key: Any = tree, tuple((x.shape, x.dtype.str, x.tobytes()) for x in known)
+    if key not in kept:
+        while len(kept) >= _KEPT:
+            kept.pop(next(iter(kept)))
+        kept[key] = make(scene, places)
+    return kept[key]
+
+
+class _Anywhere(NamedTuple):
+    """Candidates of a scene, and their brackets at draws of any kind."""
+
+    base: SurfaceMotions
+    body: SurfaceMotions
+    action: Action
+    draws: Draws
+    found: Tested
+
+
+def _anywhere(scene: Scene, places: None) -> _Anywhere:
+    del places
     base = surface_motions(scene.base.surface)
     body = surface_motions(scene.body.surface)
     own = scene.has_contact_coordinates
     counts = base.twists.shape[0], body.twists.shape[0], scene.coordinate_count
     dtype = np.dtype(scene.body.mass.dtype)
     action = _candidates(base, body, counts, own, dtype)
-    draws = random_draws(scene, dtype)
-    brackets, sizes = (np.asarray(x) for x in brackets_of(scene, action, *draws))
-    null = equivariant(brackets, sizes, LOOSE[dtype.itemsize])
-    free, drift = _parted(null)
+    draws = any_draws(scene, dtype)
+    return _Anywhere(base, body, action, draws, tested(scene, action, draws))
+
+
+def _symmetries(scene: Scene, places: tuple[np.ndarray, State] | None) -> Symmetries:
+    base, body, action, draws, found = cast(
+        _Anywhere, _remembered(_ANYWHERE, scene, None, _anywhere)
+    )
+    loose = LOOSE[np.dtype(scene.body.mass.dtype).itemsize]
+    if places is not None:
+        close = near_draws(scene, *places)
+        draws = both_draws(draws, close)
+        found = found.with_more(tested(scene, action, close))
+    _refuse_unusable(found, places is not None)
+    free, drift = _parted(equivariant(found, loose))
     others = np.zeros(0)
     if drift is not None:
-        others = _unsteady(scene, action.combined(drift[None]), draws[1])
+        usable = rows_of(draws, np.nonzero(found.good)[0])
+        others = _unsteady(scene, action.combined(drift[None]), usable)
     if others.size:  # at times that the draws were not at, so that they are compared
-        times = jnp.asarray(np.resize(others, draws[0].shape), dtype)
-        more = [np.asarray(x) for x in brackets_of(scene, action, times, draws[1])]
-        brackets = np.concatenate([brackets, more[0]])
-        sizes = np.concatenate([sizes, more[1]])
-        null = equivariant(brackets, sizes, LOOSE[dtype.itemsize])
-        free, drift = _parted(null)[0], None
+        times = np.resize(others, draws.times.shape).astype(draws.times.dtype)
+        more = tested(scene, action, draws._replace(times=times))
+        free, drift = _parted(equivariant(found.with_more(more), loose))[0], None
     rows = echelon(free)
     labels = [*_base_names(base), *_body_names(body)]
     labels += [f"alpha[{k}]" for k in range(scene.coordinate_count)]
+    twists = rows[:, : base.twists.shape[0]] @ base.twists
     return Symmetries(
         tuple(_combination(row, labels) for row in rows),
         scene,
         action.combined(rows),
         None if drift is None else action.combined(drift[None]),
-        np.asarray(rows[:, : counts[0]] @ base.twists, dtype),
+        np.asarray(twists, draws.times.dtype),
+        places is not None,
     )
 
 
-def _unsteady(scene: Scene, drift: Action, states: State) -> np.ndarray:
+def _refuse_unusable(found: Tested, placed: bool) -> None:
+    """Refuse what no draw tells of: the lack of numbers is no lack of symmetry."""
+    if placed and not np.any(found.good & found.near):
+        problem = "has no finite rates and derivatives of them, nor a state near it"
+        remedy = (
+            "give a state inside of where the scene's functions and their first "
+            "derivatives are finite"
+        )
+        raise FieldError("symmetries.state", "...", problem, remedy)
+    if not np.any(found.good):
+        problem = (
+            f"has finite rates at none of {found.good.size} random states (alpha about "
+            "1), so that no symmetry of it can be told"
+        )
+        remedy = "give a state of its motion: rollkane.symmetries(scene, state)"
+        raise FieldError("symmetries.scene", "a Scene", problem, remedy)
+
+
+def _unsteady(scene: Scene, drift: Action, draws: Draws) -> np.ndarray:
     """Times [s] at which the rates are not those at zero, carried along."""
     first: Callable[[Array], Array] = lambda part: part[0]
-    one = jax.tree.map(first, states)
+    one = jax.tree.map(first, draws.states)
     if not uses_time(rolling_derivative, scene, one):
         return np.zeros(0)
     motion = scene.base.motion
     times = wide_times(corners(scene)[0], None if motion is None else motion.span)
-    found = differing(carried_rates(scene, drift, times, states))
+    found = differing(carried_rates(scene, drift, times, draws))
     spread = found[np.linspace(0, found.size - 1, min(found.size, 16)).astype(int)]
     return times[spread]
 
