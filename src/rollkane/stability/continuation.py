@@ -115,22 +115,34 @@ class Segment(NamedTuple):
         first: With the tangent that leads to the other.
         last: The other.
         far: How far along the tangent it lies.
+        base: Whose tangent that is; None: the first one's.
+        near: How far along it the first one lies.
     """
 
     first: BranchPoint
     last: BranchPoint
     far: float
+    base: BranchPoint | None = None
+    near: float = 0.0
 
 
 Look: TypeAlias = Callable[[Segment], list[Critical] | None]
 
 
 class Walk(NamedTuple):
-    """A way along a branch: its points, what is critical, why it ends."""
+    """A way along a branch.
+
+    Attributes:
+        points: On it.
+        critical: What is critical, each with the number of the point before.
+        end: Why it ends.
+        lengths: How far along its tangent from each point to the next.
+    """
 
     points: list[BranchPoint]
-    critical: list[Critical]
+    critical: list[tuple[int, Critical]]
     end: str
+    lengths: list[float]
 
 
 def walked(
@@ -155,7 +167,7 @@ def walked(
     """
     low, high = span
     longest = (high - low) / asked.unit / points
-    way, step = Walk([start], [], "max_points"), longest
+    way, step = Walk([start], [], "max_points", []), longest
     while len(way.points) <= most and step > _FEWEST:
         here = way.points[-1]
         far = min(step, longest / max(abs(float(here.tangent[-1])), 0.1))
@@ -169,7 +181,7 @@ def walked(
         if told is None:
             step = 0.5 * far
             continue
-        way.critical.extend(told)
+        way.critical.extend((len(way.points) - 1, one) for one in told)
         if not low <= next_.value <= high:
             end = low if next_.value < low else high
             landed = _landed(asked, here, tried, end)
@@ -177,9 +189,12 @@ def walked(
             if solved_there and here.value != end:
                 last = made(asked, landed.point, here.tangent, dimensions)
                 way.points.append(last)
+                share = (end - here.value) / (next_.value - here.value)
+                way.lengths.append(share * far)
             reached = solved_there or here.value == end
             return way._replace(end="span" if reached else "not found")
         way.points.append(next_)
+        way.lengths.append(far)
         step = 2.0 * far
     return way if step > _FEWEST else way._replace(end="not found")
 

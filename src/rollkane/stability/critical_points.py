@@ -102,21 +102,22 @@ def _located(
 ) -> BranchPoint | None:
     """The root of a test on a segment, by the Illinois method; None: there is none."""
     first, last = segment.first, segment.last
-    (a, fa), (b, fb) = (0.0, test(first)), (segment.far, test(last))
+    base = segment.base or first
+    (a, fa), (b, fb) = (segment.near, test(first)), (segment.far, test(last))
     best, least = (first, abs(fa)) if abs(fa) < abs(fb) else (last, abs(fb))
     small = _SMALL * max(abs(fa), abs(fb))
     for _ in range(_TRIES):
         s = b - fb * (b - a) / (fb - fa)
         if not min(a, b) < s < max(a, b):
             break
-        solution = step_from(asked, first, s)
+        solution = step_from(asked, base, s)
         if not solution.error < SOLVED:
             break
-        point = made(asked, solution.point, first.tangent, dimensions)
+        point = made(asked, solution.point, base.tangent, dimensions)
         value = test(point)
         if abs(value) < least:
             best, least = point, abs(value)
-        if value == 0.0 or abs(s - b) < _EXACT * segment.far:
+        if value == 0.0 or abs(s - b) < _EXACT * (segment.far - segment.near):
             break
         if value * fb < 0.0:
             a, fa = b, fb

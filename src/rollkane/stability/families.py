@@ -20,6 +20,7 @@ from .continuation import (
     walked,
 )
 from .critical_points import critical_on
+from .narrow_windows import windows
 from .newton import SOLVED, Asked, solved
 from .quantities import quantity
 from .refusals import refuse_moving, refuse_other_scene
@@ -29,6 +30,9 @@ from .steady import SteadyMotion
 # SOLVED, 1e-10, beside curvatures of up to 1e3 it is 1e-7; what counts is seldom below
 # 1e-4.
 _NEAR = 1e-6
+# Of the span: two critical values that are one, found by a crossing and in a window,
+# each located to rounding.
+_SAME = 1e-10
 
 
 def steady_family(
@@ -55,7 +59,10 @@ def steady_family(
             ``"base.motion.rate"``, ``"loads[0].acceleration[2]"``.
         span: Least and largest value of it [its unit].
         points: How many steps the span is wide, at least: folds and crossings are
-            located whatever it is, but two within one step may be missed.
+            located whatever it is. Two within one step show by a dip of what passes
+            zero and comes back, and are located, too, down to some 1e-5 of the step;
+            where it does not dip (a step over more than one change), or of three or
+            more within two steps, some may be missed: give more points.
         max_points: Most points each way.
 
     Returns:
@@ -182,13 +189,35 @@ def _both_ways(
     is_back = middle[0].tangent[-1] < 0.0 and len(middle) == 1
     if is_back:
         points = [_turned(p) for p in points[::-1]]
-    low, high = plan.span
-    told = backward.critical[::-1] + forward.critical
-    found = [c for c in told if low <= c.value <= high]
+    told = [(-k - 0.5, one) for k, one in backward.critical[::-1]]
+    told += [(k + 0.5, one) for k, one in forward.critical]
+    for sign, way, other in ((-1.0, backward, None), (1.0, forward, backward)):
+        line, lengths, k = way.points, way.lengths, 0
+        if other is not None and len(middle) == 1 and other.lengths:
+            # the start, too, lies between two
+            line = [_turned(other.points[1]), *line]
+            lengths, k = [other.lengths[0], *lengths], 1
+        inside = windows(plan.asked, line, lengths, dimensions)
+        told += [(sign * (place - k), one) for place, one in inside]
+    found = _in_order(told, plan)
+    if is_back:
+        found = found[::-1]
     ends = backward.end, forward.end
     if is_back:
         ends = forward.end, backward.end
     return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span, ends)
+
+
+def _in_order(told: list[tuple[float, Critical]], plan: _Plan) -> list[Critical]:
+    """What is critical within the span, by its place, each once."""
+    low, high = plan.span
+    found: list[Critical] = []
+    for _, one in sorted(told, key=lambda placed: placed[0]):
+        same = [c for c in found if c.kind == one.kind]
+        close = [abs(c.value - one.value) <= _SAME * (high - low) for c in same]
+        if low <= one.value <= high and not any(close):
+            found.append(one)
+    return found
 
 
 def _checked_span(span: Any) -> tuple[float, float]:

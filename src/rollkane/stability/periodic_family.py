@@ -171,7 +171,8 @@ def periodic_family(
         hold: What keeps its value on the way, as of :func:`rollkane.periodic_motion`;
             what was held of the motion does not, unless it is named here. A value
             None: the motion's.
-        points: How many steps the span is wide, at least.
+        points: How many steps the span is wide, at least. Stability is compared at
+            neighbouring motions: two changes within one step are not seen.
         max_points: Most motions each way.
 
     Raises:

@@ -179,7 +179,9 @@ def _errors(
     except np.linalg.LinAlgError:
         return np.full(values.size, most)
     across = np.linalg.norm(rounding[:, None] * (basis @ vectors), axis=0)
-    return np.minimum(np.linalg.norm(dual, axis=1) * across, most)
+    with np.errstate(over="ignore"):  # of vectors that are one to rounding
+        dual_lengths = np.linalg.norm(dual, axis=1)
+    return np.minimum(dual_lengths * across, most)
 
 
 def _of_group(point: Point, A: np.ndarray, names: Sequence[str]) -> dict[str, complex]:
