@@ -97,6 +97,57 @@ def test_what_is_not_closed_has_no_volume(surface):
         rk.solid_body(RHO, surface)
 
 
+def ball(q):
+    u, v = q
+    return 0.1 * jnp.stack(
+        [jnp.cos(u) * jnp.cos(v), jnp.sin(u) * jnp.cos(v), jnp.sin(v)]
+    )
+
+
+def flat_tube(q):
+    """A ring of 0.3 m whose tube is 0.1 m wide and 1 mm high."""
+    u, v = q
+    r = 0.3 + 0.05 * jnp.cos(v)
+    return jnp.stack([r * jnp.cos(u), r * jnp.sin(u), 5e-4 * jnp.sin(v)])
+
+
+def uneven(q):
+    """Twice around, at a rate that is not even."""
+    return ball(jnp.stack([2.0 * q[0] + 0.3 * jnp.sin(q[0]), q[1]]))
+
+
+TURN, RISE = (-np.pi, np.pi), (-np.pi / 2, np.pi / 2)
+TWO, THREE = (-2 * np.pi, 2 * np.pi), (-3 * np.pi, 3 * np.pi)
+
+
+@pytest.mark.parametrize(
+    ("chart", "domain"),
+    [
+        (ball, (TWO, RISE)),
+        (ball, (THREE, RISE)),
+        (uneven, (TURN, RISE)),
+        (flat_tube, (TURN, TWO)),
+    ],
+)
+def test_what_a_chart_covers_twice_has_no_mass_of_two(chart, domain):
+    """It has the flux of a closed surface, twice, and had twice the mass."""
+    with pytest.raises(rk.FieldError, match="is covered more than once by its chart"):
+        rk.solid_body(RHO, rk.Parametric(chart, domain=domain))
+
+
+@pytest.mark.parametrize(
+    ("chart", "domain", "volume"),
+    [
+        (ball, (TURN, RISE), 4 / 3 * np.pi * 1e-3),
+        # its faces are nearer to each other than samples of either
+        (flat_tube, (TURN, TURN), 2 * np.pi**2 * 0.3 * 0.05 * 5e-4),
+    ],
+)
+def test_what_a_chart_covers_once(chart, domain, volume):
+    body = rk.solid_body(RHO, rk.Parametric(chart, domain=domain))
+    np.testing.assert_allclose(body.mass, RHO * volume, **EXACT)
+
+
 def test_a_density_is_positive():
     with pytest.raises(rk.FieldError, match=r"solid_body\.density"):
         rk.solid_body(0.0, rk.Sphere(0.1))

@@ -16,6 +16,7 @@ from jaxtyping import Array
 from ..geometry.surfaces import AbstractSurface
 from ..validation.checks import FieldError, is_traced, positive
 from .bodies import Body
+from .chart_covers import covers_again
 
 _POINTS = 64  # along each parameter of the chart, in each of two halves
 _ROUNDING = 1e-13  # sums of 16,384 numbers
@@ -37,7 +38,8 @@ def solid_body(density: ArrayLike, surface: AbstractSurface) -> Body:
         surface's axes.
 
     Raises:
-        FieldError: a surface that is not closed.
+        FieldError: a surface that is not closed, or whose chart covers it several
+            times (surfaces that are traced are taken for closed and covered once).
 
     Source: ``3 V`` is the integral of ``x . n`` over the surface, and so on for the
     moments of first and second order.
@@ -56,6 +58,10 @@ def solid_body(density: ArrayLike, surface: AbstractSurface) -> Body:
             remedy = "give one that is, or Body(mass, inertia, surface)"
             kind = type(surface).__name__
             raise FieldError(field, kind, "is not closed, and has no volume", remedy)
+        if covers_again(surface):
+            remedy = "give a domain in which each of its points comes once"
+            problem = "is covered more than once by its chart"
+            raise FieldError(field, type(surface).__name__, problem, remedy)
     volume, first, second = (jnp.sign(volume) * x for x in (volume, first, second))
     center = first / volume
     about = second - volume * center[:, None] * center[None, :]
