@@ -1,4 +1,4 @@
-"""Linear models by parameters that a configuration looks at: what depends, follows."""
+"""Derivatives by parameters that a configuration looks at: what depends, follows."""
 
 import functools
 from typing import Any, NamedTuple
@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 import rollkane as rk
 from rollkane import kane
 from rollkane.geometry.rotations import about_axis
+from rollkane.kane.closure import bound_start
 
 from ..quick import slow_but
 
@@ -41,14 +42,14 @@ def kept(configuration):
     return constraints
 
 
-def mechanism(configuration, dependent, **given):
+def mechanism(configuration, dependent, by_multipliers=False, **given):
     count = 1 + max(dependent)
     return kane.KaneSystem(
         count,
         count,
         lambda t, q, u: u,
         constraints=kept(configuration),
-        dependent=dependent,
+        dependent=None if by_multipliers else dependent,
         configuration=configuration,
         dependent_coordinates=dependent,
         **given,
@@ -71,11 +72,12 @@ def rod_of_length(t, q, u, p):
 
 
 @functools.cache
-def slider_crank():
+def slider_crank(by_multipliers=False):
     """A crank's angle, and the place of the slider that its rod moves."""
     system = mechanism(
         rod_of_length,
         (1,),
+        by_multipliers,
         parts=[
             kane.Particle(MASS, lambda t, q, u: [u[1], 0.0, 0.0]),
             flywheel(0, INERTIA),
@@ -83,7 +85,7 @@ def slider_crank():
         generalized_forces=lambda t, q, u, p: [0.0 * u[0], -p["k"] * (q[1] - 1.2)],
         parameters=CRANK,
     )
-    return Case(system, [0.7, 1.27], [0.6])
+    return Case(system, [0.7, 1.27], [0.6, -0.2] if by_multipliers else [0.6])
 
 
 def four_bars(t, q, u, p):
@@ -267,3 +269,95 @@ def test_a_slider_crank_by_its_lengths():
     names = tuple(f"parameters.{name}" for name in "lrk")
     model = rk.linearize(case.system, state, inputs=names)
     np.testing.assert_allclose(model.B, expected, rtol=0, atol=1e-12)
+
+
+# ---- runs from a start that does not change with the parameters ----------------------
+
+RUNS = {
+    "slider-crank": slider_crank,
+    "slider-crank by multipliers": lambda: slider_crank(True),
+    "turning rod": turning_rod,
+}
+
+
+def start_of(case, parameters):
+    """The start of a case, on the configuration that parameters have."""
+    system = eqx.tree_at(lambda s: s.parameters, case.system, parameters)
+    q = closed(system, jnp.asarray(case.time), jnp.asarray(case.q, float))
+    return kane.KaneState(q, jnp.asarray(case.u, float))
+
+
+def end(case, parameters, start):
+    system = eqx.tree_at(lambda s: s.parameters, case.system, parameters)
+    times = case.time + jnp.array([0.0, 0.5])
+    run = kane.simulate(system, start, times, rtol=1e-11)
+    return jnp.concatenate([*run.state.q, *run.u])
+
+
+@pytest.mark.parametrize("name", slow_but(["slider-crank"], RUNS))
+def test_gradients_of_runs_keep_to_the_configuration(name):
+    """They were those of motions beside it: by the length of a rod zero."""
+    case = RUNS[name]()
+    start = start_of(case, case.system.parameters)
+    r, unravel = ravel_pytree(case.system.parameters)
+    of_closed = jax.jit(lambda r: end(case, unravel(r), start_of(case, unravel(r))))
+    right = differences(of_closed, r)
+    assert np.abs(right).max() > 1.0
+    for derivative in (jax.jacfwd, jax.jacrev):
+        found = jax.jit(derivative(lambda r: end(case, unravel(r), start)))(r)
+        # runs of a hundred steps to 1e-11 over 2 STEP beside the differences' own
+        np.testing.assert_allclose(found, right, rtol=1e-5, atol=1e-4)
+    # nothing is added where the start is given as a function of the parameters
+    np.testing.assert_allclose(jax.jacfwd(of_closed)(r), found, rtol=0, atol=1e-7)
+
+
+def lengths(l):
+    return {**CRANK, "l": l}
+
+
+def test_starts_of_traced_numbers_are_moved_to_the_configuration():
+    """Where known ones are refused; they were runs of broken rods."""
+    case = slider_crank()
+    start = start_of(case, CRANK)
+    run = jax.jit(jax.vmap(lambda l: end(case, lengths(l), start)))
+    several = jnp.array([0.9, 1.0, 1.3])
+    for l, found in zip(several, run(several), strict=True):
+        right = end(case, lengths(l), start_of(case, lengths(l)))
+        # the same start to roundings, and what a motion makes of them
+        np.testing.assert_allclose(found, right, rtol=0, atol=1e-12)
+    # and one that might be left, to the last bit
+    beside = eqx.tree_at(lambda s: s.q, start, start.q.at[1].add(1e-12))
+    alone = jax.jit(lambda l: end(case, lengths(l), beside))(jnp.asarray(1.0))
+    np.testing.assert_array_equal(alone, end(case, CRANK, beside))
+
+
+def test_starts_that_the_configuration_does_not_determine_stay():
+    """A slider's place, as its rod is upright, or is not long enough to be there."""
+    case, rtol = slider_crank(), jnp.asarray(1e-9)
+    place = jax.jit(lambda q, l: bound_start(at(l), jnp.zeros(()), state(q), rtol).q)
+    at = lambda l: eqx.tree_at(lambda s: s.parameters, case.system, lengths(l))
+    state = lambda q: kane.KaneState(q, jnp.asarray(case.u))
+    for q, l in (([np.pi / 2, 0.0], 0.4), ([np.pi / 2, 0.3], 0.2)):
+        q, l = jnp.asarray(q), jnp.asarray(l)
+        found = place(q, l)
+        np.testing.assert_array_equal(found, q)
+        assert np.isfinite(jax.jacfwd(place, argnums=(0, 1))(q, l)[1]).all()
+
+
+def test_second_derivatives_keep_to_the_configuration():
+    """Of the place x(a, l) of a slider, and its third: a step for each order."""
+    case, rtol = slider_crank(), jnp.asarray(1e-9)
+    start = start_of(case, CRANK)
+
+    def found(l):
+        system = eqx.tree_at(lambda s: s.parameters, case.system, lengths(l))
+        return bound_start(system, jnp.zeros(()), start, rtol).q[1]
+
+    def right(l):
+        height = CRANK["r"] * jnp.sin(0.7)
+        return CRANK["r"] * jnp.cos(0.7) + jnp.sqrt(l**2 - height**2)
+
+    for _ in range(3):
+        found, right = jax.grad(found), jax.grad(right)
+        # derivatives of order one
+        np.testing.assert_allclose(found(1.0), right(1.0), rtol=0, atol=1e-13)

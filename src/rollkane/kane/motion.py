@@ -20,7 +20,7 @@ from ..integration.projection import KeepingEnergy
 from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
-from .closure import kept_state, kept_well
+from .closure import bound_start, kept_state, kept_well
 from .dependent_speeds import on_its_side, undetermined, with_as_many_numbers
 from .equations import (
     all_speeds,
@@ -139,7 +139,9 @@ def simulate(
 
     Args:
         system: The system.
-        start: Coordinates and independent speeds at ``times[0]``.
+        start: Coordinates and independent speeds at ``times[0]``. Where numbers are
+            traced, dependent coordinates are moved to the configuration, as derivatives
+            by these numbers are.
         times: Output times [s], shape (T,), strictly monotonic.
         rtol: Relative tolerance of a step [1]; 1e-9 by default (1e-5 in float32).
         atol: Absolute tolerance of a step; 0.01 rtol by default.
@@ -183,8 +185,8 @@ def simulate(
     times = checked_times(times, dtype)
     rtol, atol = tolerances(rtol, atol, dtype)
     seen = refuse_start(system, times[0], start, rtol)
-    known = None if seen is None else seen.by_speeds
-    moving = on_its_side(system, times[0], start, rtol, known)
+    start = bound_start(system, times[0], start, rtol)
+    moving = on_its_side(system, times[0], start, rtol, seen and seen.by_speeds)
     ready = prepared(
         *(_PROBLEM, moving, times),
         rtol=rtol,
