@@ -1,9 +1,11 @@
 """What a fit says of each channel of a record is of that channel."""
 
 import numpy as np
+import pytest
 
 import rollkane as rk
 from rollkane.identification.fitting import problem_of
+from rollkane.identification.residuals import grouped, with_delay_bounds
 from rollkane.simulation.run_options import RunOptions
 
 from .. import problems
@@ -75,3 +77,17 @@ def test_orientations_over_growing_horizons():
     # the largest is 0.03
     away = found.estimates["start.angular_velocity"] - np.array([1.0, 2.0, 3.0])
     assert (np.abs(away) < 1e-2 * found.standard_errors[free.path]).all()
+
+
+@pytest.mark.parametrize(
+    ("bounds", "before", "left"),
+    [(None, 0.0, 100), ((0.0, 0.025), 0.0, 118), (None, 0.205, 121)],
+)
+def test_a_free_delay_leaves_out_what_may_show_the_time_before(bounds, before, left):
+    """Of 121 samples, 10 ms apart, as docs/fit.md has it."""
+    times = 0.01 * np.arange(121)
+    channel = {"gyro": rk.Gyro(np.zeros((121, 3)), sigma=0.1)}
+    record = rk.Record(times, channel, start_time=-before)
+    free = with_delay_bounds((rk.Free("gyro.delay", bounds=bounds),), [record])
+    (group,) = grouped(record, free, {})
+    assert group.time.shape == (left,)

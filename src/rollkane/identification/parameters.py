@@ -43,7 +43,9 @@ class Free:
             (``"start.angular_velocity"``), of the modes (``"modes.friction"``) or of a
             channel (``"gyro.bias"``, ``"gyro.delay"``).
         bounds: Least and largest value [unit of the parameter], numbers or arrays, None
-            for none.
+            for none. Of a delay: 0, and 20 samples above the guess [s]; samples up to
+            the largest one after the start are left out, as they might show the time
+            before it. Give the least bound that is sure.
         prior: Mean and standard deviation of what was known before, numbers or arrays.
         form: ``"full"``; ``"diagonal"``: an inertia whose principal axes are the
             body's; ``"ratios"``, ``"diagonal ratios"``: an inertia whose trace stays,
