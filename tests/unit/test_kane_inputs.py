@@ -331,6 +331,25 @@ def test_starts_of_traced_numbers_are_moved_to_the_configuration():
     np.testing.assert_array_equal(alone, end(case, CRANK, beside))
 
 
+def test_linear_models_of_traced_numbers_are_those_on_the_configuration():
+    """They were of a state beside it: derivatives of A by a length partial ones."""
+    case = slider_crank()
+    start = start_of(case, CRANK)
+
+    def slope(l, state):
+        system = eqx.tree_at(lambda s: s.parameters, case.system, lengths(l))
+        return kane.linearize(system, 0.0, state).A[1, 0]
+
+    several = jnp.array([0.9, 1.0, 1.3])
+    along = jax.vmap(jax.value_and_grad(lambda l: slope(l, start)))
+    of_closed = lambda l: slope(l, start_of(case, lengths(l)))
+    for l, found, by_length in zip(several, *along(several), strict=True):
+        # A of order ten by the same equations, at the same place to roundings
+        np.testing.assert_allclose(found, of_closed(l), rtol=0, atol=1e-12)
+        right = (of_closed(l + STEP) - of_closed(l - STEP)) / (2 * STEP)
+        np.testing.assert_allclose(by_length, right, rtol=DIFFERENCES)
+
+
 def test_starts_that_the_configuration_does_not_determine_stay():
     """A slider's place, as its rod is upright, or is not long enough to be there."""
     case, rtol = slider_crank(), jnp.asarray(1e-9)

@@ -12,8 +12,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..integration.integrate import tolerances
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import GivenFunction, as_time
+from .closure import bound_start
 from .equations import Reduced, reduced
 from .given_states import checked_state, known_system, time_of
 from .singular_states import Examined, examined, refuse
@@ -58,7 +60,8 @@ def linearize(
     Args:
         system: The system.
         t: Time [s].
-        state: Coordinates and independent speeds.
+        state: Coordinates and independent speeds. Where numbers are traced, dependent
+            coordinates are moved to the configuration.
         q_ind: Numbers of the coordinates whose rows and columns are wanted; left out,
             all independent ones. The others are held.
         u_ind: Numbers of the speeds, likewise.
@@ -93,6 +96,7 @@ def linearize(
     # by JAX a known time could be traced
     when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
     t = cast(Array, when)
+    state = bound_start(system, t, state, tolerances(None, None, state.q.dtype)[0])
     places = system.coordinates, system.independent_coordinates
     free = _chosen("linearize.q_ind", q_ind, *places)
     moving = _chosen("linearize.u_ind", u_ind, system.speeds, system.independent)
