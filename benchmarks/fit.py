@@ -107,14 +107,16 @@ class Case:
 def estimated(found):
     """The numbers that a fit's covariance is of."""
     z = found.search.minimum.z
-    return np.concatenate([np.ravel(e.shown(z)) for e in found.problem.layout.entries])
+    return np.concatenate(
+        [np.ravel(e.at(z).shown) for e in found.problem.layout.entries]
+    )
 
 
 def true_numbers(found, truth):
     """The same of the truth: a factor is over the fit's own guess."""
     pairs = zip(found.problem.layout.entries, truth.layout.entries, strict=True)
     numbers = [
-        mine.transform.shown(jnp.asarray(true.value(truth.layout.start)))
+        mine.transform.shown(jnp.asarray(true.at(truth.layout.start).value))
         for mine, true in pairs
     ]
     return np.concatenate([np.ravel(x) for x in numbers])
