@@ -1,5 +1,6 @@
 """The sign of the kept energy at steady motions, against closed forms."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -135,6 +136,52 @@ def test_where_none_is_told():
     assert not sign.definite
     assert str(sign).startswith("energy: none, its first variation")
     assert (sign.positive, sign.negative, sign.zero, sign.modes) == (0, 0, 0, ())
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1.5])
+def test_a_potential_round_a_turntable_s_axis(ratio):
+    """Its moving energy is kept where the spring is alike along x and y.
+
+    E - Omega J is definite where the spring holds more than the turning throws out: of
+    a ball that rests on the table, m Omega^2 below k.
+    """
+    ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    spring = rk.Potential(lambda p: 2.0 * (p[0] ** 2 + ratio * p[1] ** 2))
+    loads = rk.Gravity(), spring
+    turning = rk.Scene(ball, rk.Base(rk.Plane(), rk.Spin(1.0)), loads=loads)
+    start = rk.place(turning, UPRIGHT, (0.0, 0.0, 1.0), ORIGIN)
+    motion = rk.steady_motion(turning, start, ("spin about z",))
+    sign = motion.energy_sign
+    if ratio != 1.0:
+        assert "keeps no energy" in sign.reason
+        return
+    assert sign.energy == "moving energy"
+    assert counts(motion) == (5, 0, 0)
+    assert sign.definite
+    assert motion.stable
+
+
+@pytest.mark.parametrize("drag", [0.0, 1e-6])
+def test_a_force_across_the_velocity_does_no_work(drag):
+    """A ball in a bowl; the same with a drag, however small, keeps no energy."""
+
+    def across(t, point, parameters):
+        turned = jnp.cross(jnp.array([0.0, 0.0, -1.0]), point.velocity)
+        return turned - parameters["drag"] * point.velocity
+
+    ball = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+    bowl = rk.Base(rk.Sphere(1.0, inside=True))
+    force = rk.Force(across, parameters={"drag": drag})
+    scene = rk.Scene(ball, bowl, loads=(rk.Gravity(), force))
+    start = rk.place(scene, UPRIGHT, ORIGIN, (0.0, 0.0, -1.0))
+    sign = rk.steady_motion(scene, start).energy_sign
+    if drag:
+        assert "keeps no energy" in sign.reason
+        return
+    assert sign.energy == "energy"
+    assert (sign.positive, sign.negative, sign.zero) == (5, 0, 0)
+    assert sign.definite
+    assert sign.modes == (1,) * 4
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
 from ..dynamics import observables
+from ..dynamics.rolling import rolling_derivative
 from .momenta import MOMENTA, momenta, units
 from .newton import Asked, Point
 from .problem import RollingProblem
@@ -119,7 +120,7 @@ def energy_sign(
     problem = asked.problem
     if not isinstance(problem, RollingProblem):
         return _none("no energy is known of a KaneSystem")
-    kind = observables.kept_energy(problem.scene)
+    kind = observables.kept_energy(problem.scene) or _kept_there(problem, point)
     if not kind:
         return _none("the scene keeps no energy")
     size = point.size
@@ -217,11 +218,54 @@ def _changes(problem: RollingProblem, state: Any, steps: Array) -> tuple[Array, 
     return jax.vmap(at)(steps)
 
 
+def _draws(point: Point) -> np.ndarray:
+    """Steps to random states around a motion."""
+    draw = np.random.default_rng(3)
+    return _SPREAD * draw.standard_normal((_STATES, point.size.size)) * point.size
+
+
+def _kept_there(problem: RollingProblem, point: Point) -> str:
+    """Which energy motions keep around a state, though no law of the scene's says so.
+
+    As of a potential that is round about a turntable's axis, or of a force that is
+    across the velocity; "" for none. What they do far away does not count.
+    """
+    found = _energy_changes(problem, point.state, _draws(point))
+    values, changes = (np.asarray(x, float) for x in found)
+    good = np.all(np.isfinite(values) & np.isfinite(changes), axis=1)
+    names = [*_ENERGIES]
+    if problem.scene.base.motion is None:
+        names = names[:1]  # both are one
+    if np.sum(good) < 2:
+        return ""
+    # beside what energies differ by: their zero is anywhere
+    sizes = np.ptp(values[good], axis=0) * point.rate
+    kept = np.all(np.abs(changes[good]) <= _KEPT * sizes, axis=0)
+    # the moving one first: at what rests on the base its slope is the smaller one
+    return next((names[k] for k in range(len(names))[::-1] if kept[k]), "")
+
+
+@for_one_call
+def _energy_changes(
+    problem: RollingProblem, state: Any, steps: Array
+) -> tuple[Array, Array]:
+    """Energies at states, and all of how they change in time."""
+
+    def at(x: Array) -> tuple[Array, Array]:
+        y, t = problem.moved(state, x), jnp.zeros_like(x[0])
+
+        def told(t: Array, y: Any) -> Array:
+            return jnp.stack([of(problem.scene, t, y) for of in _ENERGIES.values()])
+
+        rates = rolling_derivative(problem.scene, t, y)
+        return jax.jvp(told, (t, y), (jnp.ones_like(t), rates))
+
+    return jax.vmap(at)(steps)
+
+
 def _kept(problem: RollingProblem, point: Point) -> list[bool]:
     """Which momenta neither the motion nor a symmetry changes, around a state."""
-    draw = np.random.default_rng(3)
-    steps = _SPREAD * draw.standard_normal((_STATES, point.size.size)) * point.size
-    found = _changes(problem, point.state, steps)
+    found = _changes(problem, point.state, _draws(point))
     values, changes = (np.asarray(x, float) for x in found)
     shifts = np.concatenate([[point.rate], point.rate / point.pace])
     good = np.all(np.isfinite(changes), axis=(1, 2))
