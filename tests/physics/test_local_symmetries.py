@@ -57,6 +57,15 @@ def test_a_ridge_leaves_its_own_direction():
     assert np.sum(np.real(motion.eigenvalues) > EXACT) == 1
 
 
+def test_a_family_that_loses_its_symmetries_is_refused():
+    """Without the magnet all places are alike; with it, they are not."""
+    scene = magnet(3.0, 0.2, 0.0)
+    hold = {"translation x": 0.0, "translation y": 0.0, "spin about z": 0.0}
+    motion = rk.steady_motion(scene, rest(scene, 3.0, 0.0, 0.0), hold)
+    with pytest.raises(rk.FieldError, match=r"no symmetry 'translation x'"):
+        rk.steady_family(scene, motion, "loads[1].parameters.A", (0.0, 0.5), points=2)
+
+
 def wall(X):
     def energy(p, q):
         return 50.0 * jnp.maximum(p[0] - q["X"], 0.0) ** 2

@@ -20,6 +20,8 @@ from .continuation import (
     walked,
 )
 from .critical_points import critical_on
+from .kept_symmetries import refuse_lost
+from .local_model import with_parameter
 from .narrow_windows import windows
 from .newton import SOLVED, Asked, solved
 from .quantities import quantity
@@ -205,6 +207,9 @@ def _both_ways(
     ends = backward.end, forward.end
     if is_back:
         ends = forward.end, backward.end
+    for point in (points[0], points[-1]):
+        there = with_parameter(plan.asked.problem, plan.asked.keys, point.value)
+        refuse_lost("steady_family.span", float(point.value), there, point.state)
     return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span, ends)
 
 
