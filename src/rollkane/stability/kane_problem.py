@@ -1,6 +1,5 @@
 """A system of :mod:`rollkane.kane` as a problem of steady motions."""
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import equinox as eqx
@@ -15,12 +14,10 @@ from ..kane.equations import kane_derivative
 from ..kane.system import KaneState, KaneSystem
 from ..kinematics.coordinates import pack
 from ..validation.checks import FieldError
+from .affine_symmetries import affine_symmetries
+from .configured import configured
 from .problem import AbstractProblem
-from .surface_motions import LOOSE, echelon, null_space
 from .time_dependence import differing, uses_time, wide_times
-
-_STATES, _SPREAD = 12, 0.3  # random ones, and how far from the guess
-_NEWTON = 8  # steps to the configuration, from beside it
 
 
 class KaneProblem(AbstractProblem):
@@ -30,10 +27,12 @@ class KaneProblem(AbstractProblem):
         system: The system.
         laws: ``[M, b]`` of the generators ``q' = M q + b``, shape (K, n, n + 1).
         group: Their names.
+        units: Of all coordinates, then of the independent speeds: changes alike.
     """
 
     system: KaneSystem
     laws: Float[Array, "K n m"]
+    units: Float[Array, " x"]
     group: tuple[str, ...] = eqx.field(static=True)
 
     def coordinates(self, state: Any) -> tuple[tuple[str, ...], tuple[bool, ...]]:
@@ -44,8 +43,11 @@ class KaneProblem(AbstractProblem):
         return q + u, (False,) * len(q) + (True,) * len(u)
 
     def sizes(self, state: Any) -> tuple[np.ndarray, float]:
-        """One of its unit each, since nothing is known of these."""
-        return np.ones(len(self.coordinates(state)[0])), 0.0
+        """Of the guess, one where it has none, since nothing else is known of these."""
+        del state
+        units, count = np.asarray(self.units, float), self.system.coordinates
+        free = np.asarray(self.system.independent_coordinates, int)
+        return np.concatenate([units[free], units[count:]]), 0.0
 
     def moved(self, state: Any, x: Float[Array, " n"]) -> KaneState:
         """The state at coordinates x around another, on its configuration."""
@@ -90,35 +92,6 @@ class KaneProblem(AbstractProblem):
         return eqx.tree_at(lambda p: p.system, self, model)
 
 
-def violation(system: KaneSystem, q: Float[Array, " n"]) -> Float[Array, " c"]:
-    """By how much coordinates miss the configuration; shape (0,) without one."""
-    if system.configuration is None:
-        return q[:0]
-    rest = jnp.zeros(system.speeds + system.auxiliary, q.dtype)
-    return system.at(system.configuration, jnp.zeros_like(q[0]), q, rest)
-
-
-def configured(system: KaneSystem, q: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Coordinates whose dependent ones fulfil the configuration, by Newton's method."""
-    if system.configuration is None:
-        return q
-    bound = np.asarray(system.dependent_coordinates, int)
-
-    def violated(q: Array) -> Array:
-        return violation(system, q)
-
-    def advance(q: Array) -> Array:
-        slope = cast(Array, jax.jacfwd(violated)(q))[:, bound]
-        return q.at[bound].add(-cast(Array, jnp.linalg.solve(slope, violated(q))))
-
-    near = jax.lax.stop_gradient(q)
-    step: Callable[[Array, Array], Array] = lambda _, q: advance(q)
-    near = cast(Array, jax.lax.fori_loop(0, _NEWTON, step, near))
-    near = jax.lax.stop_gradient(near)
-    # with the derivative of what is given, and of the system's numbers
-    return advance(advance(q.at[bound].set(near[bound])))
-
-
 def _generated(law: Float[Array, "n m"], state: KaneState) -> KaneState:
     return KaneState(law[:, :-1] @ state.q + law[:, -1], 0.0 * state.u)
 
@@ -137,6 +110,7 @@ def kane_problem(system: KaneSystem, guess: Any) -> tuple[KaneProblem, KaneState
         FieldError: another guess, of single precision, or a system that depends on
             time.
     """
+    _refuse_multipliers(system)
     if not isinstance(guess, KaneState):
         remedy = "give KaneState(q, u) with the independent speeds"
         raise FieldError("steady_motion.guess", guess, "is no KaneState", remedy)
@@ -145,28 +119,25 @@ def kane_problem(system: KaneSystem, guess: Any) -> tuple[KaneProblem, KaneState
         problem = "is in single precision, in which no rank can be told"
         remedy = 'call jax.config.update("jax_enable_x64", True) first'
         raise FieldError("steady_motion.guess", "float32", problem, remedy)
-    n = system.coordinates
-    laws = _affine_motions(n)
-    draw = np.random.default_rng(2)
-
-    def near(y: Array) -> Array:
-        return y[None] + _SPREAD * draw.standard_normal((_STATES, y.shape[0]))
-
-    states = KaneState(near(state.q), near(state.u))
-    found = _brackets(system, laws, states)
-    brackets, in_time, sizes = (np.asarray(x, float) for x in found)
-    good = np.all(np.isfinite(brackets), axis=(1, 2))
-    scale = np.max(sizes[good], axis=0, initial=1e-300)
-    steady = not np.any(np.abs(in_time[good]) > LOOSE[8] * scale)
-    if not steady or _changes(system, states):
+    found = affine_symmetries(system, state)
+    if found.by_time or _changes(system, found.states):
         problem = "depends on time"
         remedy = "leave out loads and motions that are functions of time"
         raise FieldError("steady_motion.scene", "a KaneSystem", problem, remedy)
-    rows = (brackets[good] / scale[None, :, None]).reshape(-1, laws.shape[0])
-    kept = echelon(null_space(rows, 10.0 * LOOSE[8]))
-    names = tuple(_name(row, n) for row in kept)
-    whole = jnp.asarray(np.tensordot(kept, laws, 1))
-    return KaneProblem(group=names, system=system, laws=whole), state
+    laws, units = jnp.asarray(found.laws), jnp.asarray(found.units)
+    return KaneProblem(group=found.names, system=system, laws=laws, units=units), state
+
+
+def _refuse_multipliers(system: KaneSystem) -> None:
+    """Refuse speeds of which not all are free: small motions have other numbers."""
+    if system.by_multipliers and system.constraints is not None:
+        raise FieldError(
+            "steady_motion.scene",
+            "a KaneSystem",
+            "has constraints that act by multipliers, so that none of its speeds is "
+            "chosen as dependent",
+            "name dependent speeds (of rolling contacts: RollingSystem.eliminated)",
+        )
 
 
 def _changes(system: KaneSystem, states: KaneState) -> bool:
@@ -187,71 +158,3 @@ def _over_time(system: KaneSystem, times: Array, states: KaneState) -> Array:
 
     over = jax.vmap(at, (None, 0))
     return jax.vmap(over, (0, None))(times, states)
-
-
-def _affine_motions(n: int) -> np.ndarray:
-    """``[M, b]`` with one entry each: shifts first, shape (n + n^2, n, n + 1)."""
-    laws = np.zeros((n + n * n, n, n + 1))
-    for k in range(n):
-        laws[k, k, n] = 1.0
-    for k in range(n * n):
-        laws[n + k, k // n, k % n] = 1.0
-    return laws
-
-
-def _name(row: np.ndarray, n: int) -> str:
-    shifts = [f"q[{k}]" for k in range(n) if row[k]]
-    if len(shifts) > 1:
-        shifts = [
-            f"{row[k]:.6g} q[{k}]" if row[k] != 1.0 else f"q[{k}]"
-            for k in range(n)
-            if row[k]
-        ]
-    turned = [f"q[{k}]" for k in range(n) if np.any(row[n + n * k : n + n * k + n])]
-    name = " + ".join(shifts)
-    if not turned:
-        return name
-    return (f"{name} with " if name else "linear in ") + " and ".join(turned)
-
-
-@for_one_call
-def _brackets(
-    system: KaneSystem, laws: Array, states: KaneState
-) -> tuple[Array, Array, Array]:
-    """Lie brackets with affine motions, rates of the rates by time, and their sizes.
-
-    With them, by how much a motion leaves the configuration.
-    """
-
-    def at(state: KaneState) -> tuple[Array, Array, Array]:
-        y = KaneState(configured(system, state.q), state.u)
-        t = jnp.zeros_like(y.q[0])
-
-        def rates(t: Array, y: KaneState) -> KaneState:
-            return kane_derivative(system, t, y)
-
-        def leaving(q: Array) -> Array:
-            return violation(system, q)
-
-        f, along = cast(tuple[KaneState, Any], jax.linearize(rates, t, y))
-
-        def with_law(law: Array) -> tuple[Array, Array]:
-            value = _generated(law, y)
-            back = KaneState(law[:, :-1] @ f.q, 0.0 * f.u)
-            left = jax.jvp(leaving, (y.q,), (value.q,))[1]
-            ahead = pack(cast(KaneState, along(0.0 * t, value)))
-            return (
-                jnp.concatenate([ahead, left]),
-                jnp.concatenate([pack(back), 0.0 * left]),
-            )
-
-        ahead, back = jax.vmap(with_law)(laws)
-        still = KaneState(0.0 * y.q, 0.0 * y.u)
-        in_time = pack(cast(KaneState, along(jnp.ones_like(t), still)))
-        count = ahead.shape[1] - in_time.shape[0]
-        more = jnp.zeros(count, in_time.dtype)
-        size = jnp.max(jnp.abs(ahead) + jnp.abs(back), axis=0)
-        size = size + jnp.abs(jnp.concatenate([pack(f), more]))
-        return (ahead - back).T, jnp.concatenate([in_time, more]), size
-
-    return jax.vmap(at)(states)
