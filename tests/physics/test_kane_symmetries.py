@@ -167,3 +167,11 @@ def test_a_circular_orbit_keeps_its_turn(radius):
     assert tuple(motion.generator) == ("q[1]",)
     assert motion.growth == pytest.approx(rate, rel=1e-8)
     assert not motion.stable
+
+
+def test_a_family_that_loses_a_symmetry_of_its_start_is_refused():
+    """Of ``q'' = mu q``: at mu = 0 q can be shifted, and nowhere else."""
+    system = on_a_line(lambda t, q, u, p: [p["mu"] * q[0]], mu=0.0)
+    start = rk.steady_motion(system, at_rest(1), ("q[0]",))
+    with pytest.raises(rk.FieldError, match="has no symmetry"):
+        rk.steady_family(system, start, "parameters.mu", (-1.0, 1.0))

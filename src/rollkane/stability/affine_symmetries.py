@@ -7,19 +7,13 @@ that acts close to the guess alone, or a soft spring beside a stiff one, is not
 overlooked.
 """
 
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from ..codegen.compile_effort import for_one_call
-from ..kane.equations import kane_derivative
 from ..kane.system import KaneState, KaneSystem
-from ..kinematics.coordinates import pack
 from ..validation.checks import FieldError
-from .configured import configured, misses
+from .law_brackets import Seen, affine_laws, looked_at, states_of
 from .law_names import named
 from .surface_motions import echelon, null_space
 
@@ -27,7 +21,6 @@ from .surface_motions import echelon, null_space
 # size and of the largest one: none, from where a force may live (a saturated one, a
 # detent) to where all others have changed.
 _LEVELS = 0.0, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.3, 1.0, 3.0
-_ROWS = 12  # states in one call of the program
 # States are looked at twice, some roundings apart: what differs is rounding. A row
 # counts for as much as it is known to this share: some hundred roundings, since they
 # may differ by less than they are. So does, by ten of them, a tenth of what it is
@@ -44,6 +37,9 @@ _LEFT = 1e-11
 # Beside a generator's own terms: its coefficients come from what is left, 1e-11, beside
 # columns that are told apart by 1e-2 or more.
 _OWN = 1e-9
+# Of a law's own terms and the largest ones: rows of rounding alone are 1e-5 of the
+# latter, and what is lost is of its own size.
+_GONE = 1e-4
 # A tangent less than that, beside what its law has elsewhere, is none: configurations
 # are solved to 1e-10 of their coordinates.
 _STILL = 1e-8
@@ -68,26 +64,6 @@ class AffineSymmetries(NamedTuple):
     units: np.ndarray
 
 
-class _Seen(NamedTuple):
-    """At S states, of R rows and L laws.
-
-    Attributes:
-        q: Coordinates on the configuration, shape (S, n).
-        misses: By what share of what may be left they miss it, shape (S,).
-        brackets: Shape (S, R, L).
-        terms: Sizes of what these are differences of, shape (S, R, L).
-        rates: The right-hand side, shape (S, R).
-        in_time: Its rate by time, shape (S, R).
-    """
-
-    q: Any
-    misses: Any
-    brackets: Any
-    terms: Any
-    rates: Any
-    in_time: Any
-
-
 class _Rows(NamedTuple):
     """Usable states, and which are near; of these all rows in one axis."""
 
@@ -98,6 +74,16 @@ class _Rows(NamedTuple):
     noise: np.ndarray
     rates: np.ndarray
     in_time: np.ndarray
+
+
+class _Weighed(NamedTuple):
+    """Usable states, sizes of rows and columns, some of the states, units."""
+
+    rows: _Rows
+    scale: np.ndarray
+    weight: np.ndarray
+    few: KaneState
+    units: np.ndarray
 
 
 def affine_symmetries(system: KaneSystem, guess: KaneState) -> AffineSymmetries:
@@ -112,15 +98,10 @@ def affine_symmetries(system: KaneSystem, guess: KaneState) -> AffineSymmetries:
     Raises:
         FieldError: equations that have no values at the guess or beside it.
     """
+    seen = _weighed(system, guess)
+    rows, scale, weight = seen.rows, seen.scale, seen.weight
     centre = np.asarray(guess.q, float)
     n = centre.size
-    places = np.maximum(np.abs(centre), 1.0)
-    speeds, rate = _speeds(system, guess, places)
-    states, again = _beside(guess, rate * speeds)
-    first, second = _looked_at(system, states), _looked_at(system, again)
-    rows = _usable(first, second, guess)
-    unit = np.concatenate([places, np.repeat(places, n) / np.tile(places, n)])
-    scale, weight = _measures(rows, unit)
     scaled = rows.brackets / scale[:, None] / weight
     # at least as many rows as columns, for the triangle
     square = np.concatenate([scaled, np.zeros((weight.size, weight.size))])
@@ -131,19 +112,43 @@ def affine_symmetries(system: KaneSystem, guess: KaneState) -> AffineSymmetries:
     found = kept[np.array(passes, bool)]
     by_time = bool(np.any(np.abs(rows.in_time) > _OWN * scale))
     whole = np.tensordot(found, affine_laws(n), 1)
-    few = KaneState(*(x[: len(_LEVELS)] for x in (states.q, states.u)))
-    units = np.concatenate([places, speeds])
-    return AffineSymmetries(whole, named(found, n), few, by_time, units)
+    return AffineSymmetries(whole, named(found, n), seen.few, by_time, seen.units)
 
 
-def affine_laws(n: int) -> np.ndarray:
-    """``[M, b]`` with one entry each: shifts first, shape (n + n^2, n, n + 1)."""
-    laws = np.zeros((n + n * n, n, n + 1))
-    for k in range(n):
-        laws[k, k, n] = 1.0
-    for k in range(n * n):
-        laws[n + k, k // n, k % n] = 1.0
-    return laws
+def lost(system: KaneSystem, state: KaneState, laws: np.ndarray) -> np.ndarray:
+    """Which laws are no symmetries beside a state, by more than rounding, shape (K,).
+
+    Args:
+        system: The system.
+        state: That.
+        laws: ``[M, b]``, symmetries with other numbers, shape (K, n, n + 1).
+    """
+    seen = _weighed(system, state)
+    n = laws.shape[1]
+    flat = np.concatenate([laws[:, :, n], laws[:, :, :n].reshape(-1, n * n)], axis=1)
+    gone: list[bool] = []
+    for row in flat:
+        law = _centred(row, np.asarray(state.q, float))
+        left = np.abs(seen.rows.brackets @ law)
+        own = seen.rows.terms @ np.abs(law)
+        size = seen.scale * np.max(np.abs(law) * seen.weight)
+        gone.append(bool(np.any((left > _GONE * own) & (left > _GONE * size))))
+    return np.array(gone, bool)
+
+
+def _weighed(system: KaneSystem, guess: KaneState) -> _Weighed:
+    """Brackets beside a guess, and what rows and columns are divided by."""
+    centre = np.asarray(guess.q, float)
+    n = centre.size
+    places = np.maximum(np.abs(centre), 1.0)
+    speeds, rate = _speeds(system, guess, places)
+    states, again = _beside(guess, rate * speeds)
+    first, second = looked_at(system, states), looked_at(system, again)
+    rows = _usable(first, second, guess)
+    unit = np.concatenate([places, np.repeat(places, n) / np.tile(places, n)])
+    scale, weight = _measures(rows, unit)
+    few = states_of(*(np.asarray(x)[: len(_LEVELS)] for x in (states.q, states.u)))
+    return _Weighed(rows, scale, weight, few, np.concatenate([places, speeds]))
 
 
 def _speeds(
@@ -153,14 +158,10 @@ def _speeds(
     n, m = places.size, guess.u.shape[0]
     q = np.tile(np.asarray(guess.q, float), (m + 2, 1))
     u = np.concatenate([np.asarray(guess.u, float)[None], np.zeros((1, m)), np.eye(m)])
-    rates = _looked_at(system, _states(q, u)).rates[:, :n] / places
+    rates = looked_at(system, states_of(q, u)).rates[:, :n] / places
     fast = np.nan_to_num(np.max(np.abs(rates[2:] - rates[1]), axis=1))
     rate = float(np.nan_to_num(np.max(np.abs(rates[0])))) or 1.0
     return 1.0 / np.where(fast > 0.0, fast, 1.0), rate
-
-
-def _states(q: np.ndarray, u: np.ndarray) -> KaneState:
-    return KaneState(cast(Array, q), cast(Array, u))
 
 
 def _beside(guess: KaneState, speeds: np.ndarray) -> tuple[KaneState, KaneState]:
@@ -179,7 +180,7 @@ def _beside(guess: KaneState, speeds: np.ndarray) -> tuple[KaneState, KaneState]
     largest = np.full_like(q, float(np.abs(q).max(initial=0.0)) or 1.0)
     places, again = _drawn(draw, q, levels, largest, np.maximum(np.abs(q), 1.0))
     fast, faster = _drawn(draw, u, mixed, speeds, speeds)
-    return _states(places, fast), _states(again, faster)
+    return states_of(places, fast), states_of(again, faster)
 
 
 def _drawn(
@@ -201,76 +202,7 @@ def _drawn(
     return drawn, drawn + aside * draw.choice([-1.0, 1.0], drawn.shape)
 
 
-def _looked_at(system: KaneSystem, states: KaneState) -> _Seen:
-    """What is seen at states, in equal parts, by one program."""
-    q, u = (np.asarray(x) for x in (states.q, states.u))
-    centre, laws = q[0], affine_laws(q.shape[1])
-    count = q.shape[0]
-    parts: list[_Seen] = []
-    for first in range(0, count, _ROWS):
-        some = np.minimum(np.arange(first, first + _ROWS), count - 1)
-        found = _brackets(system, laws, centre, _states(q[some], u[some]))
-        parts.append(_Seen(*(np.asarray(x, float) for x in found)))
-    return _Seen(*(np.concatenate(x)[:count] for x in zip(*parts, strict=True)))
-
-
-@for_one_call
-def _brackets(
-    system: KaneSystem, laws: Array, centre: Array, states: KaneState
-) -> _Seen:
-    """Lie brackets with affine motions about a centre, and how they leave the place."""
-
-    def at(state: KaneState) -> _Seen:
-        y = KaneState(configured(system, jnp.asarray(state.q)), jnp.asarray(state.u))
-        t = jnp.zeros_like(y.q[0])
-
-        def rates(t: Array, y: KaneState) -> KaneState:
-            return kane_derivative(system, t, y)
-
-        def leaving(q: Array) -> Array:
-            return misses(system, q)
-
-        f, along = cast(tuple[KaneState, Any], jax.linearize(rates, t, y))
-
-        def with_law(law: Array) -> tuple[Array, Array]:
-            value = KaneState(law[:, :-1] @ (y.q - centre) + law[:, -1], 0.0 * y.u)
-            back = KaneState(law[:, :-1] @ f.q, 0.0 * f.u)
-            left = jax.jvp(leaving, (y.q,), (value.q,))[1]
-            ahead = pack(cast(KaneState, along(0.0 * t, value)))
-            both = jnp.concatenate([ahead, left]), jnp.concatenate([pack(back), left])
-            return both[0], both[1].at[ahead.shape[0] :].set(0.0)
-
-        ahead, back = (x.T for x in jax.vmap(with_law)(jnp.asarray(laws)))
-        still = KaneState(0.0 * y.q, 0.0 * y.u)
-        in_time = pack(cast(KaneState, along(jnp.ones_like(t), still)))
-        more = jnp.zeros(ahead.shape[0] - in_time.shape[0], in_time.dtype)
-        flow, by_time = (jnp.concatenate([x, more]) for x in (pack(f), in_time))
-        terms = jnp.abs(ahead) + jnp.abs(back)
-        missed = _missed(system, y.q, centre)
-        return _Seen(y.q, missed, ahead - back, terms, flow, by_time)
-
-    return jax.vmap(at)(states)
-
-
-def _missed(system: KaneSystem, q: Array, centre: Array) -> Array:
-    """By what share of what may be left coordinates miss the configuration.
-
-    That is 1e-10 of their sizes, to which Newton's method squares what was more, and a
-    few hundred roundings of coordinates of order one, which may cancel.
-    """
-    if system.configuration is None:
-        return jnp.zeros_like(q[0])
-
-    def missing(q: Array) -> Array:
-        return misses(system, q)
-
-    slope = jnp.abs(cast(Array, jax.jacfwd(missing)(q)))
-    allowed = slope @ (1e-10 * (jnp.abs(q) + jnp.abs(q - centre)) + 1e-13)
-    missed = jnp.abs(misses(system, q))
-    return jnp.max(missed / jnp.maximum(allowed, 1e-300), initial=0.0)
-
-
-def _usable(first: _Seen, second: _Seen, guess: KaneState) -> _Rows:
+def _usable(first: Seen, second: Seen, guess: KaneState) -> _Rows:
     """Of both looks what has values and holds the configuration.
 
     Raises:

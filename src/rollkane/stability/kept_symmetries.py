@@ -1,14 +1,16 @@
 """Whether a family keeps the symmetries that it was begun with."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
 
-from ..kinematics.coordinates import State
+from ..kane.system import KaneState
 from ..validation.checks import FieldError
+from .affine_symmetries import lost as lost_by_system
 from .group_actions import Action
+from .kane_problem import KaneProblem
 from .problem import AbstractProblem, RollingProblem
 from .symmetries import symmetries_at
 
@@ -17,7 +19,7 @@ from .symmetries import symmetries_at
 _SAME = 1e-6
 
 
-def refuse_lost(field: str, value: Any, problem: AbstractProblem, state: State) -> None:
+def refuse_lost(field: str, value: Any, problem: AbstractProblem, state: Any) -> None:
     """Refuse a point of a family whose scene lacks a symmetry that the family counts.
 
     Args:
@@ -26,6 +28,10 @@ def refuse_lost(field: str, value: Any, problem: AbstractProblem, state: State) 
         problem: With the family's symmetries, and the numbers of the point.
         state: Of the point.
     """
+    if isinstance(problem, KaneProblem) and problem.group:
+        at = cast(KaneState, state)
+        gone = lost_by_system(problem.system, at, np.asarray(problem.laws))
+        _refuse(field, value, problem, gone)
     if not isinstance(problem, RollingProblem) or not problem.group:
         return
     one: Callable[[Any], np.ndarray] = lambda part: np.asarray(part)[None]
@@ -35,6 +41,10 @@ def refuse_lost(field: str, value: Any, problem: AbstractProblem, state: State) 
     left = known - known @ np.linalg.pinv(now) @ now if now.size else known
     size = np.linalg.norm(known, axis=1)
     lost: np.ndarray = np.linalg.norm(left, axis=1) > _SAME * size
+    _refuse(field, value, problem, lost)
+
+
+def _refuse(field: str, value: Any, problem: AbstractProblem, lost: np.ndarray) -> None:
     if lost.any():
         names = ", ".join(
             repr(name) for name, gone in zip(problem.group, lost, strict=True) if gone
