@@ -267,7 +267,13 @@ def test_nothing_is_said_of_traced_numbers():
         return matrix(system, q), jax.vmap(of_radius)(radii)
 
     alone, mapped = shapes(wrong.q, jnp.array([2.0, 2.2]))
-    np.testing.assert_allclose(mapped, [alone, alone], rtol=1e-13)
+    # on a rod of 2.2 m it stays; to one of 2 m it is moved, below the same place
+    longer = numbered(system, {**CIRCLE, "rod": jnp.asarray(2.2)})
+    kept = kane.linearize(longer, 0.0, wrong).A
+    below = at_angle(np.arcsin(1.1 * np.sin(0.3)))
+    moved = kane.linearize(system, 0.0, below).A
+    np.testing.assert_allclose(mapped, [alone, kept], rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(alone, moved, rtol=1e-12, atol=1e-12)
 
 
 def test_known_numbers_inside_jit_are_refused():
