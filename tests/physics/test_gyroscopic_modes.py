@@ -54,6 +54,7 @@ def test_each_frequency_comes_once(other):
     assert np.all(np.abs(found.shapes[:, np.logical_not(places)]).max(axis=1) > 0.1)
 
 
+@pytest.mark.slow
 def test_the_second_mode_is_not_the_first_again():
     """A flywheel in the ball that is kept turning about its axis."""
 

@@ -105,7 +105,10 @@ def test_a_guess_without_neighbours_is_refused():
 
 @pytest.mark.parametrize(
     ("radius", "inside", "growth"),
-    [(0.2, False, np.sqrt(5 / 7 * G / 0.24)), (0.05, True, 0.0)],
+    [
+        (0.2, False, np.sqrt(5 / 7 * G / 0.24)),
+        pytest.param(0.05, True, 0.0, marks=pytest.mark.slow),
+    ],
 )
 def test_a_ball_on_a_small_sphere_and_in_a_small_bowl(radius, inside, growth):
     """Balanced on a sphere it falls with sqrt(5 g / 7 (R + r)), in a bowl it swings."""
@@ -124,6 +127,7 @@ def test_a_ball_on_a_small_sphere_and_in_a_small_bowl(radius, inside, growth):
     assert len(set(motion.problem.group)) == len(motion.problem.group)
 
 
+@pytest.mark.slow
 def test_a_ball_on_a_plane_has_its_translations_and_none_that_moves_nothing():
     roll = rolling_ball(0.2, rk.Plane(), ([0.0, 0.0, 0.2], None))
     state = roll.eliminated_state(roll.start)
