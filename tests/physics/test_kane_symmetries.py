@@ -69,6 +69,26 @@ def test_a_force_that_saturates_close_to_the_guess_is_seen(width):
     assert motion.growth == pytest.approx(np.sqrt(1.0 / width), rel=CLOSE)
 
 
+def test_what_breaks_a_symmetry_at_the_solution_alone_is_seen():
+    """The search comes from 0.5 m away to where the other coordinate is repelled."""
+
+    def along(k):
+        return lambda t, q, u: [u[k], 0.0, 0.0]
+
+    def forces(t, q, u):
+        near = jnp.exp(-((q[0] / 1e-3) ** 2))
+        return jnp.array([-q[0], 4.0 * q[1] * near])
+
+    system = kane.KaneSystem(
+        *(2, 2, lambda t, q, u: u, [kane.Particle(1.0, along(k)) for k in range(2)]),
+        generalized_forces=forces,
+    )
+    guess = kane.KaneState(jnp.array([0.5, 0.0]), jnp.zeros(2))
+    motion = rk.steady_motion(system, guess)
+    assert not motion.problem.group
+    assert motion.growth == pytest.approx(2.0, rel=CLOSE)
+
+
 @pytest.mark.parametrize("soft", [1e-4, 1e-8])
 def test_a_soft_coordinate_is_no_symmetry_beside_a_stiff_one(soft):
     """Both in one equation: a stiff spring between two masses, one soft to the ground.

@@ -15,7 +15,7 @@ from ..kane.system import KaneSystem
 from ..validation.checks import FieldError, is_traced
 from .energy_sign import EnergySign, energy_sign
 from .independent_coordinates import refuse_kind, refuse_rank
-from .kane_problem import kane_problem
+from .kane_problem import KaneProblem, kane_problem
 from .newton import (
     SOLVED,
     Asked,
@@ -177,8 +177,12 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
 def _verified(problem: AbstractProblem, seen: list[Any]) -> AbstractProblem:
     """The problem with the symmetries that hold near all of some states.
 
-    What a search comes to may be far from its guess, where less is symmetric.
+    What a search comes to, the last of them, may be far from its guess, where less is
+    symmetric; of a Kane system those there count, if they are fewer.
     """
+    if isinstance(problem, KaneProblem):
+        there, _ = kane_problem(problem.system, seen[-1])
+        return there if len(there.group) < len(problem.group) else problem
     if not isinstance(problem, RollingProblem):
         return problem
     stacked = jax.tree.map(lambda *parts: np.stack(parts), *seen)
