@@ -117,4 +117,5 @@ def _missed(system: KaneSystem, q: Array, centre: Array) -> Array:
     slope = jnp.abs(cast(Array, jax.jacfwd(missing)(q)))
     allowed = slope @ (1e-10 * (jnp.abs(q) + jnp.abs(q - centre)) + 1e-13)
     missed = jnp.abs(misses(system, q))
+    # what no coordinate moves may miss nothing, and by nothing it is no share of it
     return jnp.max(missed / jnp.maximum(allowed, 1e-300), initial=0.0)

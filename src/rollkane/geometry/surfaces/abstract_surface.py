@@ -190,8 +190,11 @@ class AbstractSurface(eqx.Module):
 
         Args:
             shift: What its coordinates need to be those of this one.
+
+        Raises:
+            TypeError: of a surface that ends with its samples, which is not asked.
         """
-        raise NotImplementedError(f"{type(self).__name__} ends with its samples")
+        raise TypeError(f"{type(self).__name__} ends with its samples")
 
     def extent(self, u: Float[Array, " k"]) -> Float[Array, ""] | None:
         """Positive while a contact point is on the surface; None: it has no end.
