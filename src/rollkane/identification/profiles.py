@@ -103,7 +103,7 @@ def _end(
     number: Callable[[np.ndarray], float]
     number = lambda z: float(np.ravel(entry.at(z).value)[k])
     middle, width = number(z), _HELD * abs(error)
-    steps, point, reached = np.sqrt(rise), z, middle
+    steps, inside, reached = np.sqrt(rise), z, middle
     inner, outer = 0.0, np.inf  # standard errors where the rise is less, and more
     for _ in range(40):
         goal = middle + steps * error
@@ -115,7 +115,9 @@ def _end(
             residual = np.append(at.residual, (number(x) - goal) / width)
             return Evaluation(residual, np.concatenate([at.jacobian, row]), at.failed)
 
-        found = minimize(evaluate, point, *layout.box, most=30, first=search.first)
+        # not from a point beyond the end, from which there may be no way back: a
+        # logarithm that was sent to where its number no longer changes
+        found = minimize(evaluate, inside, *layout.box, most=30, first=search.first)
         point, reached = found.z, number(found.z)
         risen = float(np.sum(found.at.residual[:-1] ** 2)) - least
         taken = (reached - middle) / error
@@ -126,7 +128,7 @@ def _end(
             held = np.any((own <= entry.lower) | (own >= entry.upper))
             if held and abs(taken - steps) > 0.01 * steps:
                 return reached
-            inner = max(inner, taken)
+            inner, inside = max(inner, taken), point
             if inner > farthest:
                 return float(np.copysign(np.inf, error))
         else:
