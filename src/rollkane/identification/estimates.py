@@ -129,9 +129,12 @@ class Estimates:
 def expected_errors(
     problem: Problem, at: Evaluation, z: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Standard errors by path, infinite for what is not seen."""
+    """Standard errors by path, infinite for what is not seen.
+
+    Without bounds: what they would hold depends on samples that are not there yet.
+    """
     layout = problem.layout
-    known = uncertainty.coordinate_covariance(at, layout, z)
+    known = uncertainty.coordinate_covariance(at, layout, z, bounded=False)
     unseen = uncertainty.unseen_directions(at, layout)
     return layout.by_path(lambda e: standard_errors_of(e, z, known, unseen))
 

@@ -19,8 +19,8 @@ from . import uncertainty
 from .estimates import expected_errors
 from .experiments import Problem
 from .fitting import problem_of
-from .layout import Layout
-from .parameters import Free, Model
+from .layout import Layout, share_numbers
+from .parameters import Free, Model, located
 from .records import Record
 from .residuals import linearized, within
 
@@ -154,7 +154,7 @@ def design_experiment(
     steps = whole("design_experiment.steps", steps, 0, "give how many")
     options = RunOptions(rtol, None, None, method)
     plan = _Plan(record, chosen, names, criterion, modes, options)
-    scores = np.array([_score(plan, plan.problem(*pair)) for pair in pairs])
+    scores = np.array([_told(plan, plan.problem(*pair)).score for pair in pairs])
     best = int(np.argmax(scores))
     if not np.isfinite(scores[best]):
         remedy = "see rollkane.identifiability for what is not seen, and hold it"
@@ -177,23 +177,57 @@ def design_experiment(
     )
 
 
-def _score(plan: _Plan, problem: Problem) -> float:
-    """Of one experiment; minus infinity where wanted parameters are not seen."""
+class _Told(NamedTuple):
+    """What one experiment would tell.
+
+    Attributes:
+        score: Minus infinity where wanted parameters are not seen.
+        seen: Directions that are seen, columns relative to the sizes of the
+            coordinates, shape (P, S).
+        priors: Derivatives of what is known before, by the coordinates, shape (Q, P).
+    """
+
+    score: float
+    seen: np.ndarray
+    priors: np.ndarray
+
+
+def _told(plan: _Plan, problem: Problem) -> _Told:
+    """Of one experiment.
+
+    Bounds do not count: what they would hold depends on samples that are not there yet.
+    """
     layout = problem.layout
     at = problem.evaluate(layout.start)
     if at.failed or not at.usable:
-        return -np.inf
+        return _Told(-np.inf, np.eye(layout.size), np.zeros((0, layout.size)))
+    parts = uncertainty.spectrum(at, layout.scale)
+    seen, priors = parts.directions[parts.seen].T, at.jacobian[at.of_samples.size :]
     unseen = uncertainty.unseen_directions(at, layout)
-    numbers = np.eye(layout.size), unseen, slice(None)
-    if uncertainty.hidden(*numbers)[plan.chosen(layout)].any():
-        return -np.inf
-    known = uncertainty.coordinate_covariance(at, layout, layout.start)
-    own = np.ix_(plan.chosen(layout), plan.chosen(layout))
-    scale = layout.scale[plan.chosen(layout)]
-    covariance = known[own] / np.outer(scale, scale)
+    chosen = plan.chosen(layout)
+    if uncertainty.hidden(np.eye(layout.size), unseen, slice(None))[chosen].any():
+        return _Told(-np.inf, seen, priors)
+    known = uncertainty.coordinate_covariance(at, layout, layout.start, bounded=False)
+    scale = layout.scale[chosen]
+    covariance = known[np.ix_(chosen, chosen)] / np.outer(scale, scale)
     if plan.criterion == "A":
-        return -0.5 * float(np.log(np.mean(np.diag(covariance))))
-    return -0.5 * float(np.linalg.slogdet(covariance)[1]) / scale.size
+        score = -0.5 * float(np.log(np.mean(np.diag(covariance))))
+    else:
+        score = -0.5 * float(np.linalg.slogdet(covariance)[1]) / scale.size
+    return _Told(score, seen, priors)
+
+
+def _check_vary(plan: _Plan, model: Model, vary: tuple[Free, ...]) -> None:
+    """Refuse what is to be found, and what an experiment is not made of."""
+    field = "design_experiment.vary"
+    for one in vary:
+        if located(one.path, model.channels)[0] not in ("scene", "start"):
+            problem, remedy = "is no number of the start or scene", "vary others"
+            raise FieldError(field, one.path, problem, remedy)
+        for free in plan.free:
+            if share_numbers(model, one.path, free.path):
+                problem = f"is to be found, or a part of {free.path!r}, which is"
+                raise FieldError(field, one.path, problem, "vary others")
 
 
 def _ascended(
@@ -202,10 +236,7 @@ def _ascended(
     """The experiment after an ascent along the gradient, and the scores on its path."""
     model = plan.model(scene, start)
     variables = Layout([model], vary)
-    overlap = {f.path for f in vary} & {f.path for f in plan.free}
-    if overlap:
-        field, remedy = "design_experiment.vary", "vary others"
-        raise FieldError(field, sorted(overlap), "are to be found", remedy)
+    _check_vary(plan, model, vary)
     slope_of = _gradient(plan, model, variables)
     d, length = variables.start, 0.1  # [of the variables' size]; it doubles or halves
 
@@ -213,18 +244,19 @@ def _ascended(
         found = variables.model(0, d)
         return found.scene, found.start
 
-    scores = [_score(plan, plan.problem(scene, start))]
+    at = _told(plan, plan.problem(scene, start))
+    scores = [at.score]
     for _ in range(steps):
-        slope = variables.scale * slope_of(d)
+        slope = variables.scale * slope_of(d, at)
         if not np.isfinite(slope).all() or not np.any(slope):
             break
         while length > _SMALLEST:
             step = length * variables.scale * slope / np.abs(slope).max()
             tried = np.clip(d + step, variables.lower, variables.upper)
-            score = _score(plan, plan.problem(*moved(tried)))
-            if score > scores[-1]:
-                d, length = tried, 2.0 * length
-                scores.append(score)
+            there = _told(plan, plan.problem(*moved(tried)))
+            if there.score > at.score:
+                d, at, length = tried, there, 2.0 * length
+                scores.append(at.score)
                 break
             length *= 0.5
         else:
@@ -234,8 +266,12 @@ def _ascended(
 
 def _gradient(
     plan: _Plan, model: Model, variables: Layout
-) -> Callable[[np.ndarray], np.ndarray]:
-    """Derivative of the criterion by the variables."""
+) -> Callable[[np.ndarray, _Told], np.ndarray]:
+    """Derivative of the criterion by the variables.
+
+    In directions that are seen, held: wanted parameters are no part of the others, so
+    that their covariance is the same in any directions that complete the unseen ones.
+    """
     problem = plan.problem(model.scene, model.start)
     layout = problem.layout
     slots, _ = layout.of_record(0)
@@ -243,17 +279,20 @@ def _gradient(
     groups, counts = within(problem.groups[0], np.inf)
     chosen, scale = plan.chosen(layout), jnp.asarray(layout.scale)
 
-    def score(d: Array) -> Array:
+    def score(d: Array, seen: Array, priors: Array) -> Array:
         z = jnp.asarray(layout.start)
         now = changed.applied(model, d)
         found = linearized(slots, now, groups, counts, plan.options, z)
-        columns = found.jacobian * scale[None]
+        rows = jnp.concatenate([found.jacobian, priors])
+        columns = (rows * scale[None]) @ seen
         inverse = cast(Array, jnp.linalg.inv(columns.T @ columns))
-        covariance = inverse[chosen][:, chosen]
+        covariance = seen[chosen] @ inverse @ seen[chosen].T
         if plan.criterion == "A":
             return -0.5 * jnp.log(jnp.trace(covariance) / chosen.size)
         volume = cast(Array, jnp.linalg.slogdet(covariance)[1])
         return -0.5 * volume / chosen.size
 
-    slope = cast(Callable[[Array], Array], jax.jit(jax.jacfwd(score)))
-    return lambda d: np.asarray(slope(jnp.asarray(d)))
+    slope = cast(Callable[..., Array], jax.jit(jax.jacfwd(score)))
+    return lambda d, at: np.asarray(
+        slope(jnp.asarray(d), jnp.asarray(at.seen), jnp.asarray(at.priors))
+    )

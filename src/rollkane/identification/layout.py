@@ -1,6 +1,6 @@
 """The coordinates that a fit varies: of all records, and of each."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -214,14 +214,28 @@ def _check_apart(models: Sequence[Model], free: Sequence[Free | Tied]) -> None:
     channels = {name: None for model in models for name in model.channels}
     known: list[tuple[str, paths.Keys]] = []
     for one in free:
-        root, *keys = located(one.path, channels)
-        keys = root, *paths.plain(getattr(models[0], str(root)), tuple(keys))
+        keys = _plain_keys(models[0], one.path, channels)
         for other, others in known:
-            shorter = min(len(keys), len(others))
-            if keys[:shorter] == others[:shorter]:
+            if _overlap(keys, others):
                 problem = "is there twice" if keys == others else f"overlaps {other!r}"
                 raise FieldError("Free.path", one.path, problem, "name it once")
         known.append((one.path, keys))
+
+
+def share_numbers(model: Model, path: str, other: str) -> bool:
+    """Whether of two paths one leads to the other's numbers, or to some of them."""
+    both = (_plain_keys(model, one, model.channels) for one in (path, other))
+    return _overlap(*both)
+
+
+def _plain_keys(model: Model, path: str, channels: Mapping[str, Any]) -> paths.Keys:
+    root, *keys = located(path, channels)
+    return root, *paths.plain(getattr(model, str(root)), tuple(keys))
+
+
+def _overlap(keys: paths.Keys, others: paths.Keys) -> bool:
+    shorter = min(len(keys), len(others))
+    return keys[:shorter] == others[:shorter]
 
 
 def _array_at(model: Model, path: str) -> tuple[paths.Keys, Any]:
