@@ -86,5 +86,5 @@ def values_of(known: Mapping[str, Column], columns: Columns) -> dict[str, np.nda
             event = name.removesuffix(".count")
             found[event] = kept > 0
             found[f"{event} time"] = columns[f"{event}.time"][:, 0]
-            found[f"{event} count"] = kept.astype(float)
+            found[f"{event} count"] = kept
     return found

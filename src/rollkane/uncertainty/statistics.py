@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..validation.checks import FieldError, whole
-from .count_table import MOST
+from .count_table import MOST, of_counts
 from .group_totals import Replicates
 from .histogram import Counted
 from .intervals import checked_level, mean_half_width, probability_interval
@@ -214,32 +214,30 @@ class Statistics:
 
         Returns:
             Both ends [the unit of the value, or 1], each in its shape: Student's for
-            means, Wilson's (``intervals.probability_interval``) for probabilities; over
-            groups as the class says. NaN where ``reason`` says why.
+            means (of counts as ``count_table`` has it), Wilson's for probabilities;
+            over groups as the class says. NaN where ``reason`` says why.
 
         Raises:
             FieldError: an unknown name, or a level that is none.
         """
-        level, entry = checked_level(level), self._named(name)
-        now = self._now
+        level, entry, now = checked_level(level), self._named(name), self._now
+        where, groups = entry.where, now.groups
         if entry.truth:
-            hits, count = now.hits[entry.where], self.count
+            hits, count = now.hits[where], self.count
             low, high = probability_interval(hits, count, level)
-            if now.groups is not None:
+            if groups is not None:
                 found = self._replicates(name)
                 low, high = found.probability_interval(hits, count, level)
-        elif now.groups is None:
-            middle = now.moments.average[entry.where]
-            half = mean_half_width(
-                now.moments.deviation[entry.where],
-                now.moments.count[entry.where],
-                level,
-            )
-            low, high = middle - half, middle + half
+            return _shaped(low, entry.shape), _shaped(high, entry.shape)
+        if groups is None:
+            of = now.moments
+            middle, deviation = of.average[where], of.deviation[where]
+            half = mean_half_width(deviation, of.count[where], level)
         else:
             found = self._replicates(name)
-            half = found.half_width(level)
-            low, high = found.mean - half, found.mean + half
+            middle, half = found.mean, found.half_width(level)
+        low, high = middle - half, middle + half
+        low, high = of_counts(now.tables[where], entry.whole, low, high, level)
         return _shaped(low, entry.shape), _shaped(high, entry.shape)
 
     def reason(self, name: str) -> str:

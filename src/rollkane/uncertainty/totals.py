@@ -29,11 +29,13 @@ class Name(NamedTuple):
         shape: Of one member's value.
         truth: Whether it is true or false; a number otherwise.
         where: Its entries.
+        whole: Whether it is of a type of whole numbers.
     """
 
     shape: tuple[int, ...]
     truth: bool
     where: slice
+    whole: bool
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +68,8 @@ class Layout:
             truth, shape = array.dtype.kind == "b", array.shape[1:]
             first = ends[truth]
             ends[truth] += int(np.prod(shape, dtype=int))
-            names[name] = Name(shape, truth, slice(first, ends[truth]))
+            where, whole = slice(first, ends[truth]), array.dtype.kind in "iu"
+            names[name] = Name(shape, truth, where, whole)
         found = cls(names, dict(edges))
         for label in edges:
             if label not in found.labels(truth=False):
