@@ -7,6 +7,8 @@ import pytest
 
 import rollkane as rk
 
+from ..quick import slow_but
+
 G, RADIUS = 9.81, 0.08
 BALL = rk.Body(0.7, 0.4 * 0.7 * RADIUS**2 * np.eye(3), rk.Sphere(RADIUS))
 LEVEL, STILL = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -36,7 +38,7 @@ def lands(slope, place, velocity):
     return (rate + np.sqrt(rate**2 + 4.0 * pull * gap)) / (2.0 * pull)
 
 
-@pytest.mark.parametrize("kind", BASES)
+@pytest.mark.parametrize("kind", slow_but(["parametric"], BASES))
 def test_flights_land_beyond_the_domain(kind):
     """Near its end, and far from it; they fell through."""
     base, slope = BASES[kind]

@@ -11,6 +11,8 @@ import rollkane as rk
 from rollkane import kane
 from rollkane.codegen.compile_effort import for_one_call
 
+from ..quick import slow_but
+
 
 def torque(bicycle):
     return bicycle.steer_torque
@@ -110,7 +112,10 @@ def test_matrices_have_derivatives_by_the_trail():
     np.testing.assert_allclose(along(trail)[1], (high - low) / (2 * step), rtol=1e-6)
 
 
-@pytest.mark.parametrize("field", ["frame_mass", "rear_moments", "fork_inertia"])
+@pytest.mark.parametrize(
+    "field",
+    slow_but(["frame_mass"], ["frame_mass", "rear_moments", "fork_inertia"]),
+)
 def test_masses_are_varied_with_the_parameters(field):
     """Was: copies in the parts stayed behind, and the derivatives were zero."""
     made, state = kane.Bicycle(), kane.bicycle_state(5.0)
@@ -129,6 +134,7 @@ def test_masses_are_varied_with_the_parameters(field):
     assert np.abs(right).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_family_over_a_mass_is_one_of_other_bicycles():
     system, state = kane.whipple_bicycle(), kane.bicycle_state(5.0)
     motion = rk.steady_motion(system, state, ("u[2]",))

@@ -31,7 +31,7 @@ LAWS = {
     "Stribeck, dry resistance": rk.Slipping(rk.StribeckFriction(0.4, 0.2, 0.5, 0.1)),
 }
 # the others are parts of these
-QUICK = "rubber", "Coulomb"
+QUICK = ("Coulomb",)
 RESISTING = (
     rk.RollingResistance(viscous=0.1, dry=0.02, regularization=0.5),
     rk.SpinningResistance(viscous=0.2, dry=0.01, regularization=0.5),

@@ -191,7 +191,7 @@ def test_determinants_are_those_of_numpy(size):
         assert found == pytest.approx(wanted, abs=1e2 * np.finfo(float).eps * scale)
 
 
-@pytest.mark.parametrize("count", [2, 7, 15])
+@pytest.mark.parametrize("count", [2, 7, pytest.param(15, marks=pytest.mark.slow)])
 def test_chains_of_many_dependent_speeds_go_on(count):
     """Two speeds a link follow from the angles' rates; rows of any size."""
 

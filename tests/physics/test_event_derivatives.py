@@ -188,6 +188,7 @@ def test_derivatives_through_changes(name):
     assert (np.abs(reverse * np.asarray(at) - forward) < PROMISED * size).all()
 
 
+@pytest.mark.slow
 def test_a_landing_that_lifts_off_at_once():
     """Without a rebound, on a plate that falls faster than the body: by height, time.
 
@@ -273,6 +274,7 @@ def test_a_start_that_lifts_off_at_once():
         np.testing.assert_allclose(slope, expected, rtol=0.0, atol=PROMISED)
 
 
+@pytest.mark.slow
 def test_the_direction_of_a_slip_that_has_just_begun():
     """A plate whose acceleration a turns: F = mu m g a / |a| from the onset on.
 

@@ -276,7 +276,13 @@ def test_what_was_not_reached_has_no_quiet_derivative():
     np.testing.assert_allclose(back(DISC_SPIN, 1), ahead(DISC_SPIN, 1), rtol=1e-9)
 
 
-@pytest.mark.parametrize("modes", [None, rk.Modes(friction=3.0, lifts=False)])
+@pytest.mark.parametrize(
+    "modes",
+    [
+        None,
+        pytest.param(rk.Modes(friction=3.0, lifts=False), marks=pytest.mark.slow),
+    ],
+)
 def test_a_start_made_consistent_moves_with_its_time(modes):
     """On a base that has turned by then the contact is at another place of the body.
 

@@ -7,6 +7,8 @@ import pytest
 
 import rollkane as rk
 
+from ..quick import slow_but
+
 BODY = rk.Body(
     0.8, np.diag([0.003, 0.0035, 0.004]), rk.Sphere(0.1), (0.01, -0.006, 0.004)
 )
@@ -30,7 +32,7 @@ def throws(count):
         yield orientation / np.linalg.norm(orientation), turning, flight
 
 
-@pytest.mark.parametrize("name", BOWLS)
+@pytest.mark.parametrize("name", slow_but(["sphere"], BOWLS))
 def test_what_is_behind_a_landing_moves_with_what_is_before(name):
     """First landings of twenty throws; the search has several starts to end from."""
     base, height = BOWLS[name]

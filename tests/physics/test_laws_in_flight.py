@@ -26,8 +26,10 @@ def thrown(scene):
     return rk.release(scene, LEVEL, STILL, (0.0, 0.0, 0.2), (AHEAD, 0.0, 3.0))
 
 
-@pytest.mark.parametrize("restitution", [0.5, None])
-@pytest.mark.parametrize("outputs", [2, 7])
+@pytest.mark.parametrize(
+    "restitution", [pytest.param(0.5, marks=pytest.mark.slow), None]
+)
+@pytest.mark.parametrize("outputs", [2, pytest.param(7, marks=pytest.mark.slow)])
 def test_a_law_sees_the_nearest_points_at_every_instant(restitution, outputs):
     """It saw those of the last step's end, and without landings those of the start."""
     times = np.linspace(0.0, END, outputs)

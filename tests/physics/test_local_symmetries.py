@@ -121,7 +121,7 @@ def test_a_hump_outside_of_a_graph_s_samples():
     assert not {"translation x", "translation y"} & set(zeros)
 
 
-@pytest.mark.parametrize("depth", [0.01, 0.0])
+@pytest.mark.parametrize("depth", [0.01, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_detent_of_a_rotor(depth):
     """Which is 10 mrad wide; of no depth, it is none, and the rotor turns freely."""
     mass = rk.SupportedBody(

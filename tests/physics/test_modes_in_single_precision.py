@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import rollkane as rk
 
@@ -97,6 +98,7 @@ def test_an_ellipsoid_tossed_into_a_bowl():
     np.testing.assert_allclose(place32, place, atol=100 * RTOL)
 
 
+@pytest.mark.slow
 def test_tangents_of_a_ball_tossed_on_a_shaken_plate():
     """A derivative adds the rates of a hundred steps' errors: a hundredth of itself."""
     scene = rk.Scene(BALL, SHAKEN)

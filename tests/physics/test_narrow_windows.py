@@ -83,6 +83,7 @@ def test_frequencies_that_cross_are_not_critical():
         assert critical(system, 2, "parameters.b", (1.0, 3.02)) == ([], [])
 
 
+@pytest.mark.slow
 def test_rest_in_a_spinning_bowl_that_is_nearly_of_revolution():
     """It is thrown out between Omega^2 = g k / (1 - k a) of both curvatures alone."""
     ball = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))

@@ -43,7 +43,10 @@ def changes(run):
     [
         # of 60 random starts, those whose runs such outputs changed once
         (rk.Sphere(0.1), rk.BaseMotion(shaken), 0.15, (0.17, 0.2), (1, 3, 4, 7)),
-        (rk.Torus(0.08, 0.03), None, 0.5, (0.15, 0.45), (0,)),
+        pytest.param(
+            *(rk.Torus(0.08, 0.03), None, 0.5, (0.15, 0.45), (0,)),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["ball-on-shaken-plate", "torus-in-bounces"],
 )

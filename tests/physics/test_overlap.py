@@ -265,6 +265,7 @@ def to_its_post(radius, reach, speed, method="native"):
     return found.final_time, found.code, found.final_state, found.steps
 
 
+@pytest.mark.slow
 def test_a_batch_of_runs_at_a_second_place_is_each_alone():
     """Balls of their own at posts of their own, of which some are reached."""
     given = jnp.array([[0.1, 0.5, 5.0], [0.09, 2.0, 4.0], [0.12, 0.45, 4.5]]).T

@@ -140,7 +140,9 @@ HELD = {
 
 
 @pytest.mark.parametrize("law", HELD)
-@pytest.mark.parametrize("h", [0.1, 0.02, 1.0 / 3.0])
+@pytest.mark.parametrize(
+    "h", [0.1, *(pytest.param(h, marks=pytest.mark.slow) for h in (0.02, 1.0 / 3.0))]
+)
 def test_a_force_that_is_held_from_sample_to_sample(law, h):
     """Whichever way the sample of a time is found: it rounds, beside the jump, too."""
     count = 9

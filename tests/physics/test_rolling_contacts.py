@@ -385,7 +385,7 @@ def flat_for_a_while():
     return squeezed(lambda y: jnp.where(y > 0.1, (y - 0.1) ** 4, 0.0))
 
 
-@pytest.mark.parametrize("rtol", slow_but(["1e-9"], ["1e-9", "1e-2"]))
+@pytest.mark.parametrize("rtol", slow_but([], ["1e-9", "1e-2"]))
 def test_a_run_ends_where_a_constraint_is_no_longer_redundant(rtol):
     """Loosely, too.
 

@@ -87,6 +87,7 @@ EGG_IN_A_BOWL = {
 }
 
 
+@pytest.mark.slow
 def test_a_turned_start_touches_anew():
     """A body that holds its contact point is turned as its twin that does not."""
     turned = np.array([np.cos(0.35), 0.8 * np.sin(0.35), 0.6 * np.sin(0.35), 0.0])

@@ -18,12 +18,16 @@ EGG = rk.Scene(
 @pytest.mark.parametrize(
     ("scene", "how"),
     [
-        (BALL, {"restitution": 0.8}),
-        (BALL, {"restitution": 0.8, "impact": "newton"}),
-        (EGG, {"restitution": 0.8}),
-        (BALL, {"restitution": 0.0}),
+        pytest.param(BALL, {"restitution": 0.8}, marks=pytest.mark.slow, id="ball"),
+        pytest.param(
+            BALL,
+            {"restitution": 0.8, "impact": "newton"},
+            marks=pytest.mark.slow,
+            id="Newton's law",
+        ),
+        pytest.param(EGG, {"restitution": 0.8}, marks=pytest.mark.slow, id="ellipsoid"),
+        pytest.param(BALL, {"restitution": 0.0}, id="plastic"),
     ],
-    ids=["ball", "Newton's law", "ellipsoid", "plastic"],
 )
 def test_a_landing_without_a_slip_has_the_slopes_of_ice(scene, how):
     """Dropped straight down: no force acts along the level base.

@@ -126,6 +126,7 @@ def test_forces_of_a_run_where_nothing_slips_have_gradients():
     np.testing.assert_allclose(found, [0.0, 0.0, -2.0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_record_s_samples_have_reverse_derivatives_in_flight():
     """More numbers than each state could have a copy of; what slips would be NaN."""
     time = np.linspace(0.0, 1.2, 61)

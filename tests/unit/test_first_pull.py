@@ -99,8 +99,12 @@ def test_a_jump_on_an_output_backwards():
     np.testing.assert_allclose(run.first_pull, 0.43, rtol=1e-14)
 
 
-@pytest.mark.parametrize("times", [(0.0, 0.8), (0.0, 0.4, 0.8)])
-@pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize(
+    "times", [(0.0, 0.8), pytest.param((0.0, 0.4, 0.8), marks=pytest.mark.slow)]
+)
+@pytest.mark.parametrize(
+    "derivative", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)]
+)
 def test_a_jump_has_no_derivative(derivative, times):
     """Of a body whose normal force moves with its spin."""
     scene, _ = pushed(0.4, 0.8, 60.0)

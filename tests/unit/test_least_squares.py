@@ -17,6 +17,8 @@ from rollkane.identification.least_squares import (
 )
 from rollkane.identification.uncertainty import coordinate_covariance
 
+from ..quick import slow_but
+
 # A search ends where the next step promises a fall of chi2 of no more than 1e-6, and
 # its step is at most damped by half there (damping 1, of a matrix that is scaled to a
 # unit diagonal): the rest is below 2e-6 or so, which leaves sqrt(2e-6) of a standard
@@ -225,7 +227,7 @@ def test_few_points_do_not_converge():
     assert found.evaluations == 4
 
 
-@pytest.mark.parametrize("name", LOSSES)
+@pytest.mark.parametrize("name", slow_but(["huber"], LOSSES))
 def test_what_a_loss_does_to_the_variance(name):
     """Of a mean: the variance over many samples of normal noise with outliers."""
     loss, random = LOSSES[name], np.random.default_rng(3)
@@ -246,7 +248,7 @@ def test_what_a_loss_does_to_the_variance(name):
     assert abs(np.var(means) / told - 1.0) < 0.2
 
 
-@pytest.mark.parametrize("name", LOSSES)
+@pytest.mark.parametrize("name", slow_but(["huber"], LOSSES))
 def test_what_a_loss_does_beside_a_prior(name):
     """The variance over many samples and priors; of a prior alone its own.
 

@@ -364,11 +364,40 @@ def test_a_compiler_from_pip(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tools))
     monkeypatch.delenv("CC", raising=False)
     compilers._compiler.cache_clear()
-    assert compilers._compiler(None).command[1:4] == ("-m", "ziglang", "cc")
+    assert compilers.compiler_command()[1:4] == ("-m", "ziglang", "cc")
     results = loop_of().run(queue_of(3), STOPS)
     assert results.code.tolist() == [0, 0, 0]
     assert [x.suffix for x in folder.iterdir()] == [".so"]
     compilers._compiler.cache_clear()
+
+
+def test_flags_of_the_user_s(monkeypatch):
+    """They stand behind all others, and change time alone."""
+    ends = {}
+    for flags in ("-O0", "-O3", '-O1 -D"A=1 2"'):
+        monkeypatch.setenv("ROLLKANE_CFLAGS", flags)
+        ends[flags] = loop_of().run(queue_of(3), STOPS).final_y
+    for end in ends.values():
+        np.testing.assert_array_equal(end, ends["-O3"])
+    assert compilers.compiler_command()[-2:] == ("-O1", "-DA=1 2")
+    assert compilers.Program.of("int x;", effort="-O2").command[-3:] == (
+        "-O2",
+        "-O1",
+        "-DA=1 2",
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        ("-fno-such-flag", r"-fno-such-flag: set ROLLKANE_CFLAGS to others"),
+        ("-D'A", r"ROLLKANE_CFLAGS=-D'A is no list of flags \(No closing quotation\)"),
+    ],
+)
+def test_flags_that_no_compiler_knows(monkeypatch, flags, says):
+    monkeypatch.setenv("ROLLKANE_CFLAGS", flags)
+    with pytest.raises(NoCompilerError, match=says):
+        loop_of()
 
 
 def test_what_was_compiled_is_kept(monkeypatch, tmp_path):

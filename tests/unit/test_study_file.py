@@ -320,9 +320,7 @@ friction = 0.2
 OWN = {"ring.toml": RING, "slides.toml": SLIDES}
 
 
-@pytest.mark.parametrize(
-    "name", slow_but([*OWN, "disc-in-hoop"], [*OWN, *builtin_scenes()])
-)
+@pytest.mark.parametrize("name", slow_but(["slides.toml"], [*OWN, *builtin_scenes()]))
 def test_a_study_begins_where_its_scene_does(tmp_path, name):
     """On an edge, which has many normals; with a slip; with bodies in the body."""
     for file, tables in OWN.items():

@@ -5,6 +5,7 @@ import functools
 import hashlib
 import importlib.util
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -43,12 +44,24 @@ class _Compiler(NamedTuple):
     """A command, and what tells it and this machine's processor from others."""
 
     command: tuple[str, ...]
+    flags: tuple[str, ...]  # the user's, behind all others
     machine: str
     vector: int  # bytes of those that it is fastest with
 
 
+def _at_hand() -> _Compiler:
+    return _compiler(os.environ.get("CC"), os.environ.get("ROLLKANE_CFLAGS", ""))
+
+
 @functools.cache
-def _compiler(chosen: str | None) -> _Compiler:
+def _compiler(chosen: str | None, wanted: str) -> _Compiler:
+    try:
+        flags = tuple(shlex.split(wanted))
+    except ValueError as error:
+        raise NoCompilerError(
+            f"ROLLKANE_CFLAGS={wanted} is no list of flags ({error}): unset it, or "
+            'choose method="diffrax"'
+        ) from error
     names = filter(None, (chosen, "cc", "gcc", "clang"))
     found = [(path,) for path in map(shutil.which, names) if path is not None][:1]
     if not found and importlib.util.find_spec("ziglang") is not None:
@@ -61,14 +74,15 @@ def _compiler(chosen: str | None) -> _Compiler:
     (words,) = found
     for processor in _PROCESSOR:
         command = (*words, *_FLAGS, *processor)
-        asked = (*command, "-E", "-dM", "-x", "c", os.devnull)
+        asked = (*command, *flags, "-E", "-dM", "-x", "c", os.devnull)
         own = None if len(words) == 1 else private_folder()
         told = _run(asked, places=None if own is None else _places(own, own))
         if told.returncode == 0:
             machine = hashlib.sha256(told.stdout).hexdigest()
-            return _Compiler(command, machine, _vector_of(told.stdout))
+            return _Compiler(command, flags, machine, _vector_of(told.stdout))
+    remedy = "set ROLLKANE_CFLAGS to others" if flags else "set CC to gcc or clang"
     raise NoCompilerError(
-        f"{' '.join(words)} does not know {' '.join(_FLAGS)}: set CC to gcc or clang, "
+        f"{' '.join(words)} does not know {' '.join((*_FLAGS, *flags))}: {remedy}, "
         'or choose method="diffrax"'
     )
 
@@ -92,7 +106,8 @@ def compiler_command() -> tuple[str, ...]:
     Raises:
         NoCompilerError: there is none that works.
     """
-    return _compiler(os.environ.get("CC")).command
+    compiler = _at_hand()
+    return (*compiler.command, *compiler.flags)
 
 
 def lanes_of(dtype: DTypeLike) -> int:
@@ -101,8 +116,7 @@ def lanes_of(dtype: DTypeLike) -> int:
     Raises:
         NoCompilerError: there is none that works.
     """
-    vector = _compiler(os.environ.get("CC")).vector
-    return vector // np.dtype(dtype).itemsize
+    return _at_hand().vector // np.dtype(dtype).itemsize
 
 
 def program_of(
@@ -158,8 +172,9 @@ class Program(NamedTuple):
         Raises:
             NoCompilerError: no C compiler.
         """
-        compiler = _compiler(os.environ.get("CC"))
-        command = (*compiler.command, effort) if effort else compiler.command
+        compiler = _at_hand()
+        own = (effort,) if effort else ()
+        command = (*compiler.command, *own, *compiler.flags)
         told = "\n".join((*command, compiler.machine, *sources))
         return Program(command, sources, hashlib.sha256(told.encode()).hexdigest()[:32])
 

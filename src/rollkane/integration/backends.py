@@ -17,7 +17,10 @@ from .integrate import warn_without_compiler
 METHODS = ("auto", "native", "diffrax")
 _CHOSEN = 'method="diffrax" was chosen'
 # What finds a compiler and a place for its work.
-_MACHINE = ("CC", "PATH", "HOME", "XDG_CACHE_HOME", "ROLLKANE_CACHE", "TMPDIR")
+_MACHINE = (
+    *("CC", "ROLLKANE_CFLAGS", "ROLLKANE_CACHE"),
+    *("PATH", "HOME", "XDG_CACHE_HOME", "TMPDIR"),
+)
 # Why the loop in C did not take runs of a form, and why none on this machine: found by
 # tracing and by asking the compiler, which is not done again.
 _refusals: dict[Hashable, str] = {}
