@@ -7,6 +7,7 @@ are roots of a function of one number.
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy import optimize, stats
 
 import rollkane as rk
@@ -59,3 +60,37 @@ def test_a_profile_ends_where_a_positive_number_could_not_go_by_its_deviations()
     # an end's rise is right to 2e-3: 1e-3 of the distance of a parabola, 2e-3 of a line
     inertia = np.array([low[0, 0], high[0, 0]]) / RADIUS**2
     np.testing.assert_allclose(inertia - best.x, ends - best.x, rtol=2e-3)
+
+
+@pytest.mark.parametrize("firm", [False, True])
+def test_a_firmly_held_number_hides_no_others(firm):
+    """Where the model is linear, profiles end where linear intervals do.
+
+    A place is known to 1e-5 of its size, and a speed hardly; the profile holds the
+    place a thousand times as firmly, and a prior another number.
+    """
+    scene = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(RADIUS)))
+    sigma, speed = 1e-5, 1e-4
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, speed, 0.0), (1.0, 0.0, 0.0))
+    noise = sigma * np.random.default_rng(0).standard_normal(TIMES.size)
+    samples = 1.0 + RADIUS * speed * TIMES + noise
+    place = rk.Observed(
+        lambda scene, t, state: rk.contact_of(scene, t, state).position[:1],
+        jnp.asarray(samples)[:, None],
+        sigma=sigma,
+    )
+    free = [
+        rk.Free("start.contact_on_base[0]"),
+        rk.Free("start.angular_velocity[1]"),
+    ]
+    if firm:
+        held = 1e-12 * RADIUS
+        free += [rk.Free("start.contact_on_base[1]", prior=(0.0, held))]
+    found = rk.fit(scene, start, rk.Record(TIMES, {"place": place}), free)
+    for one in free:
+        known = found.interval(one.path)
+        ends = found.interval(one.path, method="profile")
+        middle = found.estimates[one.path]
+        # a parabola's ends, whose rise is right to 2e-3, are right to 1e-3
+        away = np.subtract(ends, middle), np.subtract(known, middle)
+        np.testing.assert_allclose(*away, rtol=1e-3)

@@ -112,8 +112,12 @@ def _end(
             at = problem.evaluate(x)
             row = np.zeros((1, layout.size))
             row[0, entry.where] = entry.at(x).slope[k] / width
-            residual = np.append(at.residual, (number(x) - goal) / width)
-            return Evaluation(residual, np.concatenate([at.jacobian, row]), at.failed)
+            # as firm as a prior, it hides no others, and nor do those that are there
+            return at._replace(
+                residual=np.append(at.residual, (number(x) - goal) / width),
+                jacobian=np.concatenate([at.jacobian, row]),
+                priors=at.priors + 1,
+            )
 
         # not from a point beyond the end, from which there may be no way back: a
         # logarithm that was sent to where its number no longer changes
