@@ -230,6 +230,23 @@ class Problem:
 
         return evaluate
 
+    def prior_volume(self) -> Callable[[Array], Array]:
+        """Logarithm of how much of priors' numbers a piece of coordinates is of.
+
+        As a function that JAX can trace, without a constant.
+        """
+        terms = [(_prior_terms(e), e.where) for e in self._with_prior()]
+
+        def volume(z: Array) -> Array:
+            total = jnp.zeros(())
+            for known, where in terms:
+                _, slope = _prior_of(*known, z[where])
+                determinant = cast(Array, jnp.linalg.slogdet(slope.T @ slope)[1])
+                total = total + 0.5 * determinant
+            return total
+
+        return volume
+
     def samples(self, horizon: float = np.inf) -> int:
         """Numbers that were measured up to a horizon."""
         return int(sum(np.sum(c) for c in self._sampled(horizon)))

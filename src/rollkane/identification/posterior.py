@@ -18,9 +18,10 @@ def posterior(
 ) -> dict[str, np.ndarray]:
     """Samples of the parameters given the records (extra ``inference``: numpyro).
 
-    By the No-U-Turn sampler, from the fit's likelihood and priors; what has no prior is
-    flat in the coordinates of the fit (logarithms of positive numbers). Begins at the
-    estimates, in directions and units in which the linear covariance is one.
+    By the No-U-Turn sampler, from the fit's likelihood and priors, which are of the
+    numbers themselves; what has no prior is flat in the coordinates of the fit
+    (logarithms of positive numbers). Begins at the estimates, in directions and units
+    in which the linear covariance is one.
 
     Args:
         fit: What :func:`rollkane.fit` found.
@@ -56,23 +57,29 @@ def posterior(
 
 
 def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
-    """Half of chi2 in whitened coordinates, with its gradient ``J^T r``."""
-    evaluate = problem.pure()
+    """Minus the logarithm of the density in whitened coordinates.
+
+    Half of chi2, with its gradient ``J^T r``; less the volume of numbers with a prior
+    that is in one of their coordinates, as the prior is a density of the numbers.
+    """
+    evaluate, volume = problem.pure(), jax.value_and_grad(problem.prior_volume())
+    middle, whitened = jnp.asarray(z), jnp.asarray(root)
+
+    def with_slope(u: Float[Array, " P"]) -> tuple[Array, Array]:
+        at = middle + whitened @ u
+        residual, jacobian = evaluate(at)
+        more, uphill = volume(at)
+        value = 0.5 * jnp.sum(residual**2) - more
+        return value, whitened.T @ (jacobian.T @ residual - uphill)
 
     @jax.custom_vjp
     def potential(u: Float[Array, " P"]) -> Float[Array, ""]:
-        residual, _ = evaluate(jnp.asarray(z) + jnp.asarray(root) @ u)
-        return 0.5 * jnp.sum(residual**2)
-
-    def forward(u: Array) -> tuple[Array, Array]:
-        residual, jacobian = evaluate(jnp.asarray(z) + jnp.asarray(root) @ u)
-        slope = jnp.asarray(root).T @ (jacobian.T @ residual)
-        return 0.5 * jnp.sum(residual**2), slope
+        return with_slope(u)[0]
 
     def backward(slope: Array, cotangent: Array) -> tuple[Array]:
         return (cotangent * slope,)
 
-    potential.defvjp(forward, backward)
+    potential.defvjp(with_slope, backward)
     return cast(Any, potential)
 
 
