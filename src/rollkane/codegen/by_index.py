@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .along_an_axis import Operation
@@ -73,14 +72,15 @@ def by_index(
         return _combined(operation, _WRITES[name], (x, at, inputs[2]), params, dtype)
 
 
-def _places(x: Numbers, first: int = 0) -> Any:
-    return jnp.arange(first, first + x.size).reshape(x.shape)
+def _places(x: Numbers, first: int = 0) -> np.ndarray:
+    # by NumPy, which compiles nothing
+    return np.arange(first, first + x.size).reshape(x.shape)
 
 
 def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> Numbers:
+    known: Any = _places(x), at
     found = jax.lax.gather(
-        _places(x),
-        jnp.asarray(at),
+        *known,
         params["dimension_numbers"],
         params["slice_sizes"],
         indices_are_sorted=params["indices_are_sorted"],
@@ -178,7 +178,7 @@ def _how(params: Params) -> dict[str, Any]:
 
 
 def _written(x: Numbers, at: np.ndarray, update: Numbers, params: Params) -> Numbers:
-    given = _places(x), jnp.asarray(at), _places(update, x.size)
+    given: Any = _places(x), at, _places(update, x.size)
     found = jax.lax.scatter(*given, **_how(params))
     return _of(x, update, found)
 
@@ -193,10 +193,10 @@ def _combined(
     x, at, update = inputs
     if x.size * update.size > _MOST:
         raise NotElementwiseError("writing many numbers to many places")
-    rest, where = jnp.zeros(x.shape, int), jnp.asarray(at)
-    each = jnp.eye(update.size, dtype=int).reshape(update.size, *update.shape)
+    rest: Any = np.zeros(x.shape, int)
+    each = np.eye(update.size, dtype=int).reshape(update.size, *update.shape)
     one: Callable[[Any], Any]
-    one = lambda own: jax.lax.scatter_add(rest, where, own, **_how(params))
+    one = lambda own: jax.lax.scatter_add(rest, at, own, **_how(params))
     hits = np.asarray(jax.vmap(one)(each)).reshape(update.size, x.size)
     found, new = np.array(x, object).reshape(-1), update.reshape(-1)
     for k, place in np.argwhere(hits):

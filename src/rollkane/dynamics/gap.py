@@ -10,7 +10,7 @@ from ..codegen.compile_effort import for_one_call
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
 from ..kinematics.coordinates import FlyingState, SlidingState, shared_parts
-from ..validation.checks import real_and_known, refuse
+from ..validation.checks import real, refuse
 from .bodies import Vector
 from .clearance import flying_pose, may_touch_twice
 from .nearest_anywhere import nearest_anywhere
@@ -91,10 +91,10 @@ def release(
         "alpha_dot": (alpha_dot, scene.coordinate_count),
     }
     e, w, r, v, a, a_dot = (
-        real_and_known(f"release.{name}", value, (size,), "numbers in SI units", dtype)
+        real(f"release.{name}", value, (size,), "numbers in SI units", dtype)
         for name, (value, size) in numbers.items()
     )
-    t = real_and_known("release.time", time, (), "seconds", dtype)
+    t = real("release.time", time, (), "seconds", dtype)
     gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
     apart = (gap >= 0.0) & (gap < jnp.inf)
     place = refuse(

@@ -19,7 +19,7 @@ from ..kinematics.base_motion import AbstractBaseMotion
 from ..kinematics.contact import body_to_base
 from ..kinematics.coordinates import SlidingState, State, shared_parts
 from ..kinematics.surface_fit import opening_of
-from ..validation.checks import FieldError, is_traced, real_and_known, spoilt
+from ..validation.checks import FieldError, is_traced, real, spoilt
 from .abstract_supported import rolling_parts
 from .clearance import clearance, may_touch_twice
 from .consistency import consistent, looseness
@@ -120,7 +120,7 @@ def place(
     asked: dict[str, Any] = {
         name: None
         if value is None and name in optional
-        else real_and_known(
+        else real(
             f"place.{name}", value, (count,), f"{count} numbers: {meaning}", dtype
         )
         for name, (value, count, meaning) in meanings.items()

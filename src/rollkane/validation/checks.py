@@ -10,7 +10,6 @@ back to the host.
 import decimal
 import numbers
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any, cast
 
 import jax
@@ -129,6 +128,8 @@ def real(
 ) -> Array:
     """Convert to an array of floats of the given shape, or say why it cannot be.
 
+    What is known stays so inside of ``jit``.
+
     Args:
         field: Name used in the error.
         value: Number, nested sequence or array; floating arrays keep their dtype.
@@ -158,20 +159,10 @@ def real(
     if is_traced(array):
         return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
-    # jnp.asarray would compile a program for each new shape; a copy, as JAX may keep it
-    return jax.device_put(np.array(array))
-
-
-def real_and_known(
-    field: str,
-    value: Any,
-    shape: tuple[int | None, ...],
-    meaning: str,
-    dtype: np.dtype[Any] | None = None,
-) -> Array:
-    """The same; what is known stays so inside of ``jit``: it is evaluated once."""
-    with nullcontext() if is_traced(value) else eval_context():
-        return real(field, value, shape, meaning, dtype)
+    # jnp.asarray would compile a program for each new shape. A copy, as JAX may keep
+    # it; known inside of jit, too, where what follows from it is then found once
+    with eval_context():
+        return jax.device_put(np.array(array))
 
 
 def checked_kinks(field: str, kinks: Any) -> Float[Array, " k"] | None:
