@@ -78,9 +78,10 @@ def _places(x: Numbers, first: int = 0) -> np.ndarray:
 
 
 def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> Numbers:
-    known: Any = _places(x), at
+    places: Any = _places(x)
     found = jax.lax.gather(
-        *known,
+        places,
+        at,
         params["dimension_numbers"],
         params["slice_sizes"],
         indices_are_sorted=params["indices_are_sorted"],
