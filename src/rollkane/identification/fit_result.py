@@ -60,9 +60,10 @@ class Fit(Estimates):
         Args:
             path: One of the estimates'.
             level: Its probability, between 0 and 1.
-            method: ``"linear"``: from the standard errors. ``"profile"``: where the
-                least chi2 with the entry held has risen by the level's quantile
-                (infinite where it does not rise so far).
+            method: ``"linear"``: from the standard errors; where bounds hold some of
+                the estimates, by the profile of the linear model within them.
+                ``"profile"``: where the least chi2 with the entry held has risen by the
+                level's quantile (infinite where it does not rise so far).
 
         Returns:
             Lower and upper ends, in the parameter's shape.

@@ -7,6 +7,7 @@ from typing import cast
 import numpy as np
 
 from . import uncertainty
+from .bounded_intervals import LinearBox
 from .estimates import Estimates, standard_errors_of
 from .evaluation import Evaluation
 from .experiments import Problem
@@ -24,8 +25,14 @@ _CLOSE = 2e-3  # relative error of the rise at an end, and so 1e-3 of its distan
 def linear_interval(
     fit: Estimates, path: str, level: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate minus and plus the normal quantile of standard errors."""
+    """Estimate minus and plus the normal quantile of standard errors.
+
+    Where bounds hold estimates, the ends of the linear model's profile within them.
+    """
     quantile = NormalDist().inv_cdf(0.5 + 0.5 * level)
+    box = LinearBox(fit)
+    if box.held:
+        return _by_entry(fit.problem, path, lambda e: box.interval(e, quantile))
     middle, apart = fit.estimates[path], quantile * fit.standard_errors[path]
     return middle - apart, middle + apart
 
@@ -35,9 +42,18 @@ def profile_interval(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where the least chi2 with an entry held has risen by the level's quantile."""
     rise = NormalDist().inv_cdf(0.5 + 0.5 * level) ** 2
-    problem = fit.problem
+    search, problem = fit.search, fit.problem
+    return _by_entry(problem, path, lambda e: _of_entry(problem, e, search, rise))
+
+
+def _by_entry(
+    problem: Problem,
+    path: str,
+    interval: Callable[[Coordinates], tuple[np.ndarray, np.ndarray]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both ends of a parameter, which records may have their own of."""
     ends = {
-        entry.where.start: _of_entry(problem, entry, fit.search, rise)
+        entry.where.start: interval(entry)
         for entry in problem.layout.entries
         if entry.free.path == path
     }
