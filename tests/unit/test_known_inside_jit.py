@@ -60,3 +60,53 @@ def test_what_moves_with_a_known_number_is_the_same_inside():
     # the same program in C; XLA, in what stands around it, may fuse one more product
     np.testing.assert_allclose(inside[0], value, rtol=1e-15)
     np.testing.assert_allclose(inside[1], tangent, rtol=1e-14)
+
+
+MADE = {
+    "profile": lambda: rk.Revolution(lambda s: (0.1 * jnp.sin(s), -0.14 * jnp.cos(s))),
+    "profile of a parameter": lambda: rk.Revolution(
+        lambda s, p: (p["a"] * jnp.sin(s), -0.14 * jnp.cos(s)), parameters={"a": 0.1}
+    ),
+    "places": lambda: rk.PointMasses(
+        [1.0, 2.0], lambda a: 0.1 * jnp.eye(2, 3) + a[0] * jnp.eye(2, 3)[::-1]
+    ),
+    "section": lambda: rk.Event.section((0.0, 0.0, 1.0), 0.2).function,
+    "rolling body": lambda: in_a_shell().place(UP, np.zeros(3), (0.0, 0.0, -0.09)),
+}
+
+
+def in_a_shell():
+    ball = rk.Body(0.1, 1e-5 * np.eye(3), rk.Sphere(0.02))
+    return rk.RollingBody(ball, rk.Sphere(0.09, inside=True))
+
+
+def same(one, other):
+    """Whether two of them have the same numbers, in the same places."""
+    a, b = jax.tree.leaves(one), jax.tree.leaves(other)
+    return len(a) == len(b) and all(map(np.array_equal, a, b))
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_what_is_found_out_about_known_parts_is_found_inside(name):
+    """It was refused, as if it were traced, or could not be told by Python."""
+    found = []
+    jax.jit(lambda x: found.append(MADE[name]()) or x)(1.0)
+    assert not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(found))
+    assert same(found[0], MADE[name]())
+
+
+def test_what_a_profile_holds_may_be_traced():
+    def made(a):
+        shape = rk.Revolution(
+            lambda s: (a * jnp.sin(s), -0.14 * jnp.cos(s)),
+            poles=(True, True),
+            rising=True,
+        )
+        return shape.point(shape.locate(jnp.asarray([a, 0.0, 0.0])))
+
+    found = jax.jit(made)(0.1)
+    # on the equator, to some roundings
+    np.testing.assert_allclose(found, [0.1, 0.0, 0.0], atol=1e-14)
+    refused = lambda a: rk.Revolution(lambda s: (a * jnp.sin(s), -jnp.cos(s))) and a
+    with pytest.raises(FieldError, match=r"Revolution.poles: cannot be found while"):
+        jax.jit(refused)(0.1)

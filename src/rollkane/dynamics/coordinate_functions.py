@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..codegen.dependence import reached_numbers
 from ..codegen.scalar_program import NotElementwiseError
 from ..geometry.small_linear import components
-from ..validation.checks import FieldError, is_traced
+from ..validation.checks import FieldError, is_traced, known_in_a_trace
 from ..validation.user_functions import UserFunction, accepts, as_floats, check_output
 
 # So many are solved for in one system as fast, and compiled as soon, as one by one.
@@ -124,12 +124,14 @@ def _used_coordinates(owner: str, made: Made) -> int:
     used = 0
     # two odd places: a derivative that vanishes at one of them by chance
     for seed in (0.37, -1.13):
-        alpha = seed + 0.21 * jnp.arange(made.count, dtype=jnp.result_type(float))
+        alpha = seed + 0.21 * np.arange(made.count, dtype=jnp.result_type(float))
         for name in ("position", "rotation"):
             function = made.functions.get(name)
             if function is None:
                 continue
-            slopes = cast(Array, jax.jacfwd(function.of(made.parameters))(alpha))
+            of_alpha = function.of(made.parameters)
+            derivative = cast(Callable[..., Array], jax.jacfwd(of_alpha))
+            slopes = known_in_a_trace(derivative, alpha)
             if is_traced(slopes):
                 raise FieldError(
                     f"{owner}.coordinates",

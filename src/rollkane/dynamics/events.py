@@ -7,6 +7,7 @@ from typing import Any, TypeAlias, cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -150,7 +151,7 @@ class Event(eqx.Module):
             FieldError: no vector of three numbers, or one without length.
         """
         n = real("Event.section.normal", normal, (3,), "a vector of three numbers")
-        if not is_traced(n) and not bool(jnp.any(n != 0.0)):
+        if not is_traced(n) and not np.any(np.asarray(n) != 0.0):
             remedy = "give the direction in which it is crossed"
             raise FieldError("Event.section.normal", n, "has no length", remedy)
         d = real("Event.section.offset", offset, (), "a number in m")

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..geometry.rotations import rotation_matrix, tangent_pair
@@ -337,7 +338,7 @@ def _alone(body: Body) -> Carried:
 def _unit(field: str, value: Any) -> Array:
     """A unit quaternion; refused where its length is known to be another."""
     q = real(field, value, (4,), "a unit quaternion, scalar first")
-    if not is_traced(q) and abs(float(norm(q)) - 1.0) > 1e-6:
+    if not is_traced(q) and abs(np.linalg.norm(np.asarray(q)) - 1.0) > 1e-6:
         remedy = "divide it by its length"
         raise FieldError(field, value, "is no unit quaternion", remedy)
     return q / norm(q)

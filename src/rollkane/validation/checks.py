@@ -10,7 +10,7 @@ back to the host.
 import decimal
 import numbers
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jax.core import Tracer, eval_context
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+_T = TypeVar("_T")
 # what isinstance tells apart, of any element type
 _ARRAYS: tuple[type[Any], ...] = (np.ndarray, jax.Array)
 _TRUTHS: tuple[type[Any], ...] = (bool, np.bool_)
@@ -74,6 +75,28 @@ def is_traced(*values: Any) -> bool:
         if any(isinstance(x, Tracer) for x in jax.tree.leaves(value)):
             return True
     return False
+
+
+def known_in_a_trace(function: Callable[..., _T], *known: Any) -> _T:
+    """What a function gives of known numbers, known though a trace is under way.
+
+    Where it holds traced ones, what it gives is traced, too.
+    """
+    try:
+        with eval_context():
+            return function(*known)
+    except jax.errors.UnexpectedTracerError:
+        return function(*known)
+
+
+def known_array(numbers: ArrayLike) -> Array:
+    """Known numbers for JAX, in the middle of a trace, too.
+
+    What follows from them is then found once. ``jnp.asarray`` would make traced ones of
+    them in ``jit``, and compile a program for each new shape.
+    """
+    with eval_context():
+        return jax.device_put(np.array(numbers))  # a copy, as JAX may keep it
 
 
 def dimension(value: Any) -> int:
@@ -159,10 +182,7 @@ def real(
     if is_traced(array):
         return cast(Array, _finite_or_nan(array))
     array = refuse(array, lambda x: ~(abs(x) < np.inf), field, "must be finite", remedy)
-    # jnp.asarray would compile a program for each new shape. A copy, as JAX may keep
-    # it; known inside of jit, too, where what follows from it is then found once
-    with eval_context():
-        return jax.device_put(np.array(array))
+    return known_array(array)
 
 
 def checked_kinks(field: str, kinks: Any) -> Float[Array, " k"] | None:

@@ -18,7 +18,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
-from .checks import FieldError, is_traced
+from .checks import FieldError, is_traced, known_array
 from .function_errors import ReturnedShapeError, called, untraceable
 from .program_digest import digest_of_traced
 
@@ -299,7 +299,7 @@ def as_floats(tree: Any) -> Any:
 
 def _as_float(x: Any) -> Any:
     if isinstance(x, (int, float)) and not isinstance(x, bool):
-        return jnp.asarray(x, dtype=jnp.result_type(float))
+        return known_array(np.asarray(x, jnp.result_type(float)))
     return x
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from ...validation.checks import FieldError, is_traced
+from ...validation.checks import FieldError, is_traced, known_in_a_trace
 from ...validation.user_functions import UserFunction
 
 DENSE = 257  # points of a meridian, where it is searched as a whole
@@ -31,7 +31,8 @@ def meridian_of(profile: UserFunction) -> Meridian:
 
 def sampled(meridian: Meridian, domain: tuple[float, float]) -> np.ndarray:
     """Points of the meridian, shape (n, 2)."""
-    places = jax.vmap(meridian)(jnp.linspace(domain[0], domain[1], DENSE))
+    along = np.linspace(domain[0], domain[1], DENSE, dtype=jnp.result_type(float))
+    places = known_in_a_trace(jax.vmap(meridian), along)
     if is_traced(places):
         raise FieldError(
             "Revolution.poles",
@@ -81,8 +82,8 @@ def refuse_tips(
     for s, is_pole in zip(domain, poles, strict=True):
         if not is_pole:
             continue
-        s = jnp.asarray(s)
-        _, slope = jax.jvp(meridian, (s,), (jnp.ones_like(s),))
+        derivative = cast(Callable[..., Array], jax.jacfwd(meridian))
+        slope = known_in_a_trace(derivative, s)
         if is_traced(slope):
             continue
         r_1, z_1 = np.asarray(slope, float)
