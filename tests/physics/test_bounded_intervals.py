@@ -4,6 +4,7 @@ A ball that rolls on by itself is at ``x + r w t``; chi2 with either number held
 its least in closed form, within a bound of the other, too.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,3 +95,28 @@ def test_a_robust_loss_widens_them():
     assert low == LEAST
     # on the bound by next to nothing: half of the interval without it
     assert abs((high - low) / known - 1.0) < 0.05
+
+
+@pytest.mark.parametrize("below", [-0.5, 0.2, 30.0])
+def test_draws_of_a_number_with_a_bound_are_within_it(below):
+    """Of the normal distribution without the bound what lies inside, exactly."""
+    samples = _samples(below)
+    joint = rk.FitCovariance(_fit(samples))
+    free = np.linalg.lstsq(SLOPES, samples / SIGMA, rcond=None)[0]
+    known = np.linalg.inv(SLOPES.T @ SLOPES)
+    error, slope = np.sqrt(known[0, 0]), known[1, 0] / known[0, 0]
+    rest = np.sqrt(known[1, 1] - slope * known[1, 0])
+    u = np.array([[0.1, 0.7], [0.5, 0.5], [0.999, 0.02]])
+    drawn = jax.jit(jax.vmap(joint.draw))(jnp.asarray(u))
+    first = (LEAST - free[0]) / error
+    place = stats.truncnorm(first, np.inf, free[0], error).ppf(u[:, 0])
+    speed = free[1] + slope * (place - free[0]) + rest * stats.norm.ppf(u[:, 1])
+    # runs, and so misfits of deviations, are good to 1e-7 of an error; a search ends
+    # within 1e-3 of one
+    share = 1e-3 if below < 0.0 else 1e-5
+    found = drawn["start.contact_on_base[0]"] - LEAST
+    np.testing.assert_allclose(found, place - LEAST, rtol=0.0, atol=share * error)
+    found = drawn["start.angular_velocity[1]"]
+    error = np.sqrt(known[1, 1])
+    np.testing.assert_allclose(found, speed, rtol=0.0, atol=share * error)
+    assert (np.asarray(drawn["start.contact_on_base[0]"]) >= LEAST).all()

@@ -1,4 +1,4 @@
-"""Linear intervals where bounds hold estimates.
+"""The linear model of a fit's misfits, and its intervals, within bounds.
 
 A number on its bound is not known the better for it: the truth lies inside, and the
 others follow it there. So the misfits' linear model is profiled within the bounds.
@@ -23,6 +23,8 @@ class LinearBox:
 
     Attributes:
         held: Whether bounds hold any of them.
+        covariance: Of the coordinates, as without bounds, shape (P, P).
+        free: Their estimates, as without bounds, shape (P,).
     """
 
     def __init__(self, fit: Estimates):
@@ -45,9 +47,11 @@ class LinearBox:
         self._box = tuple(
             (x - z) / scale for x in (self._layout.lower, self._layout.upper)
         )
-        self._known = uncertainty.coordinate_covariance(
+        self.covariance = uncertainty.coordinate_covariance(
             at, self._layout, z, of, bounded=False
         )
+        downhill = self._rows.T @ self._misfit / scale
+        self.free = z - self.covariance @ downhill if self.held else z
         self._unseen = uncertainty.unseen_directions(at, self._layout)
 
     def interval(
@@ -59,7 +63,7 @@ class LinearBox:
             entry: One of the layout's.
             quantile: Of the normal distribution: the root of chi2's rise.
         """
-        errors = standard_errors_of(entry, self._z, self._known, self._unseen)
+        errors = standard_errors_of(entry, self._z, self.covariance, self._unseen)
         value, _, slope, _ = entry.at(self._z)
         ends = np.stack(
             [value.ravel() - errors.ravel(), value.ravel() + errors.ravel()]

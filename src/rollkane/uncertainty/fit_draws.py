@@ -13,15 +13,15 @@ from jaxtyping import Array, Float
 
 from ..dynamics.scene import Scene
 from ..identification import paths
+from ..identification.bounded_intervals import LinearBox
 from ..identification.fit_result import Fit
 from ..identification.layout import Coordinates
-from ..identification.least_squares import loss_of
 from ..identification.parameters import Model, Values, located, with_numbers
 from ..identification.transforms import AbstractTransform
-from ..identification.uncertainty import coordinate_covariance
 from ..validation.checks import FieldError, whole
 from .distribution_checks import inside, listed, root_of
-from .distributions import AbstractDistribution
+from .distributions import AbstractDistribution, Normal
+from .truncation import quantile_between
 
 # Standard deviations of a logarithm: uniform numbers of 53 digits are within 8.3 of
 # them, and e^83 is a number in single precision, too.
@@ -52,12 +52,17 @@ class FitCovariance(AbstractDistribution):
     """A fit's parameters, normal in its coordinates about the estimates.
 
     These keep every draw physical: logarithms of positive numbers, second moments of
-    inertias, small rotations. What has bounds is put onto them where it exceeds them.
-    Draws are by path; of several records' own parameters stacked, as in ``estimates``.
+    inertias, small rotations. What has bounds is normal within them, about where the
+    estimate would be without them; others follow it. (Exact for one number with bounds;
+    of several, each is within its own given those before it.) Draws are by path; of
+    several records' own parameters stacked, as in ``estimates``.
 
     Attributes:
-        center: Coordinates of the estimates, shape (P,).
-        root: Of their covariance, lower triangular, shape (P, P).
+        center: Coordinates of the estimates, as without bounds, shape (P,).
+        order: Of the coordinates: those with bounds first.
+        limited: Which coordinates have bounds.
+        root: Of their covariance, as without bounds, in that order, lower triangular,
+            shape (P, P).
         lower: Bounds of the coordinates, shape (P,).
         upper: Likewise.
         transforms: Of each parameter.
@@ -71,6 +76,8 @@ class FitCovariance(AbstractDistribution):
     """
 
     center: Float[Array, " P"]
+    order: tuple[int, ...] = eqx.field(static=True)
+    limited: tuple[bool, ...] = eqx.field(static=True)
     root: Float[Array, "P P"]
     lower: Float[Array, " P"]
     upper: Float[Array, " P"]
@@ -100,12 +107,17 @@ class FitCovariance(AbstractDistribution):
             problem = "has parameters that its records do not show"
             remedy = "hold one of them, or give a prior"
             raise FieldError(field, fit.unseen, problem, remedy)
-        layout, best = fit.problem.layout, fit.search.minimum
-        known = coordinate_covariance(best.at, layout, best.z, loss_of(fit.loss))
+        layout = fit.problem.layout
+        linear = LinearBox(fit)
+        known = linear.covariance
         for entry in layout.entries:
             _check_width(field, entry, known)
-        self.center = jnp.asarray(best.z)
-        self.root = root_of(field, known, jnp.asarray(known))
+        self.center = jnp.asarray(linear.free)
+        limited = np.isfinite(layout.lower) | np.isfinite(layout.upper)
+        self.limited = tuple(limited.tolist())
+        self.order = tuple(np.argsort(~limited, kind="stable").tolist())
+        ordered = known[np.ix_(self.order, self.order)]
+        self.root = root_of(field, ordered, jnp.asarray(ordered))
         self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
         channels = {name: None for m in layout.models for name in m.channels}
         self.transforms = tuple(entry.transform for entry in layout.entries)
@@ -121,7 +133,8 @@ class FitCovariance(AbstractDistribution):
     @property
     def shape(self) -> dict[str, tuple[int, ...]]:
         """Shapes of the parameters, by path."""
-        return {path: value.shape for path, value in self._values(self.center).items()}
+        possible = self._values(jnp.clip(self.center, self.lower, self.upper))
+        return {path: value.shape for path, value in possible.items()}
 
     @property
     def size(self) -> int:
@@ -130,10 +143,26 @@ class FitCovariance(AbstractDistribution):
 
     def draw(self, u: Float[Array, " P"]) -> dict[str, Array]:
         """Parameters by path [their units]."""
-        z = ndtri(inside(u))
-        center, root = self.center.astype(z.dtype), self.root.astype(z.dtype)
-        lower, upper = self.lower.astype(z.dtype), self.upper.astype(z.dtype)
-        return self._values(jnp.clip(center + root @ z, lower, upper))
+        u = inside(u)
+        order = jnp.asarray(self.order)
+        center, lower, upper = (
+            x.astype(u.dtype)[order] for x in (self.center, self.lower, self.upper)
+        )
+        root, z = self.root.astype(u.dtype), ndtri(u[order])
+        for k, place in enumerate(self.order):
+            if not self.limited[place]:
+                break
+            spread = root[k, k]
+            known = jnp.where(spread > 0.0, spread, 1.0)
+            middle = center[k] + root[k, :k] @ z[:k]
+            ends = (lower[k] - middle) / known, (upper[k] - middle) / known
+            tails = jnp.log(u[place]), jnp.log1p(-u[place])
+            within = quantile_between(Normal(0.0, 1.0), *ends, *tails)
+            z = z.at[k].set(jnp.where(spread > 0.0, within, 0.0))
+        found = jnp.zeros_like(z).at[order].set(center + root @ z)
+        return self._values(
+            jnp.clip(found, self.lower.astype(u.dtype), self.upper.astype(u.dtype))
+        )
 
     def _values(self, z: Array) -> dict[str, Array]:
         found: dict[str, list[Array]] = {}
@@ -195,6 +224,7 @@ class FitCovariance(AbstractDistribution):
             "kind": "FitCovariance",
             "paths": [place.path for place in self.places],
             "center": listed(self.center),
+            "order": list(self.order),
             "root": listed(self.root),
             "bounds": [listed(self.lower), listed(self.upper)],
             "model": listed(np.concatenate(model)),

@@ -87,14 +87,8 @@ class Truncated(AbstractContinuous):
         self, log_cdf: Float[Array, "*n"], log_survival: Float[Array, "*n"]
     ) -> Float[Array, "*n"]:
         """The whole distribution's, at the probability in the interval."""
-        dtype = log_cdf.dtype
-        low, high = self._ends(dtype)
-        mass = _log_between(low, high)
-        below = jnp.logaddexp(low[0], log_cdf + mass)
-        above = jnp.logaddexp(high[1], log_survival + mass)
-        x = self.distribution.quantile(below, above)
-        # rounding must not carry a number out of the interval
-        return jnp.clip(x, self.low.astype(dtype), self.high.astype(dtype))
+        low, high = (x.astype(log_cdf.dtype) for x in (self.low, self.high))
+        return quantile_between(self.distribution, low, high, log_cdf, log_survival)
 
     def log_tails(self, x: Float[Array, "*n"]) -> tuple[Array, Array]:
         """Of the shares of the interval below and above."""
@@ -109,6 +103,30 @@ class Truncated(AbstractContinuous):
         """Kind, ends, and what is truncated."""
         of = {"distribution": self.distribution.spec()}
         return described(self, "low", "high") | of
+
+
+def quantile_between(
+    distribution: AbstractContinuous,
+    low: Float[Array, "*n"],
+    high: Float[Array, "*n"],
+    log_cdf: Float[Array, "*n"],
+    log_survival: Float[Array, "*n"],
+) -> Float[Array, "*n"]:
+    """Quantiles of a distribution given that its numbers lie in an interval.
+
+    Args:
+        distribution: As it is without the interval.
+        low: Lower ends [unit of what it draws], -inf for none, of its shape.
+        high: Upper ends [likewise], inf for none.
+        log_cdf: Logarithm of the probability below, within the interval.
+        log_survival: Of the one above.
+    """
+    least, most = _ends_of(distribution, low, high)
+    mass = _log_between(least, most)
+    below = jnp.logaddexp(least[0], log_cdf + mass)
+    above = jnp.logaddexp(most[1], log_survival + mass)
+    # rounding must not carry a number out of the interval
+    return jnp.clip(distribution.quantile(below, above), low, high)
 
 
 def _limit(
