@@ -100,6 +100,43 @@ def test_symmetries_hold_near_all_given_states():
     assert "translation y" in found
 
 
+def orbit(rho, strength):
+    """Of a ball round a bowl, z = rho^2 / 2, with a magnet on the other side of it.
+
+    A point on a path of radius c at the slope rho is held by g rho; the ball spins
+    about no axis but that of its path.
+    """
+
+    def energy(p, q):
+        square = (p[0] + q["c"]) ** 2 + p[1] ** 2
+        return q["A"] * jnp.exp(-square / 0.03**2)
+
+    normal = np.array([-rho, 0.0, 1.0]) / np.hypot(1.0, rho)
+    c = rho + 0.1 * normal[0]
+    magnet_ = rk.Potential(energy, parameters={"A": strength, "c": c})
+    bowl = rk.Graph(lambda x, y: 0.5 * (x * x + y * y))
+    scene = rk.Scene(BALL, rk.Base(bowl), loads=(rk.Gravity(), magnet_))
+    w = np.cross(normal, [0.0, np.sqrt(9.81 * rho * c), 0.0]) / 0.1
+    return scene, rk.place(scene, UPRIGHT, tuple(w), (rho, 0.0, 0.5 * rho**2))
+
+
+@pytest.mark.slow
+def test_an_orbit_round_a_bowl_is_found():
+    """From the guess that the next test takes; it turns by 2.8 rad/s or so."""
+    scene, start = orbit(0.5, 0.0)
+    motion = rk.steady_motion(scene, start)
+    assert motion.generator["turn about z"] == pytest.approx(2.8, rel=0.1)
+    assert motion.stable
+
+
+def test_an_orbit_through_a_magnet_on_its_other_side_is_none():
+    """Runs meet it after half a turn; without the symmetry there is no orbit."""
+    scene, start = orbit(0.5, 0.5)
+    assert "turn about z" in rk.symmetries(scene, start)
+    with pytest.raises(rk.FieldError, match="has no steady motion near it"):
+        rk.steady_motion(scene, start)
+
+
 def _numbers(state):
     names = "orientation", "angular_velocity", "contact_on_base", "contact_on_body"
     return [getattr(state, name) for name in (*names, "alpha", "alpha_dot")]

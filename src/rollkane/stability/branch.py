@@ -36,6 +36,31 @@ class BranchPoint:
     told: Spectrum = dataclasses.field(repr=False)
     tangent: np.ndarray = dataclasses.field(repr=False)
 
+    @property
+    def exponents(self) -> np.ndarray:
+        """The eigenvalues [1/s], shape (k,), as :class:`Followed` has them."""
+        return self.eigenvalues
+
+    @property
+    def errors(self) -> np.ndarray:
+        """How far rounding may move each [1/s], shape (k,)."""
+        return self.told.errors
+
+    @property
+    def unstable(self) -> int:
+        """How many grow."""
+        return self.told.unstable
+
+    @property
+    def determinants(self) -> tuple[tuple[complex, float], ...]:
+        """The product of the eigenvalues, of which one passes zero."""
+        return ((0j, self.told.determinant),)
+
+    @property
+    def turning(self) -> float:
+        """Change of what is varied along the branch [1]."""
+        return float(self.tangent[-1])
+
 
 @dataclasses.dataclass(frozen=True)
 class Critical:

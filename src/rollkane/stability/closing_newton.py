@@ -109,10 +109,12 @@ class Linear(NamedTuple):
         return int(np.sum(values > _RANK * values[0]))
 
 
-def coordinates_of(shot: Shooting, state: State) -> IndependentCoordinates:
-    """Around a state, at the start's time."""
-    dtype = state.orientation.dtype
-    return IndependentCoordinates(shot.scene, jnp.asarray(shot.time, dtype), state)
+def coordinates_of(
+    shot: Shooting, state: State, time: float | None = None
+) -> IndependentCoordinates:
+    """Around a state, at a time [s]; None: that of the start."""
+    t = jnp.asarray(shot.time if time is None else time, state.orientation.dtype)
+    return IndependentCoordinates(shot.scene, t, state)
 
 
 def scales(around: IndependentCoordinates, period: float) -> np.ndarray:

@@ -7,6 +7,8 @@ import numpy as np
 
 from ..validation.checks import FieldError
 from .branch import BranchPoint, Critical
+from .branch_segments import Segment
+from .kept_symmetries import refuse_strays
 from .newton import SMALL, Asked, Point, Solved, equations, solved, unit_steps
 from .refusals import told as told_of
 from .steady import SOLVED, spectrum_at
@@ -88,7 +90,12 @@ def made(
     before: np.ndarray | None,
     dimensions: tuple[int, ...] | None = None,
 ) -> BranchPoint:
-    """A point of a branch, with a tangent that goes on as before."""
+    """A point of a branch, with a tangent that goes on as before.
+
+    Raises:
+        LostSymmetry: it is where a symmetry that the branch counts does not hold.
+    """
+    refuse_strays("steady_family.span", found.p, asked.problem, found)
     told_ = spectrum_at(asked, found, dimensions)
     (tangent,) = tangents(asked, found, 1)
     if before is not None and float(tangent @ before) < 0.0:
@@ -108,25 +115,7 @@ def made(
     )
 
 
-class Segment(NamedTuple):
-    """Two neighbouring points of a branch.
-
-    Attributes:
-        first: With the tangent that leads to the other.
-        last: The other.
-        far: How far along the tangent it lies.
-        base: Whose tangent that is; None: the first one's.
-        near: How far along it the first one lies.
-    """
-
-    first: BranchPoint
-    last: BranchPoint
-    far: float
-    base: BranchPoint | None = None
-    near: float = 0.0
-
-
-Look: TypeAlias = Callable[[Segment], list[Critical] | None]
+Look: TypeAlias = Callable[[Segment[BranchPoint]], list[Critical] | None]
 
 
 class Walk(NamedTuple):

@@ -5,28 +5,24 @@ from typing import TypeAlias
 
 import numpy as np
 
-from .branch import BranchPoint, Critical
-from .continuation import Segment, made, step_from
-from .newton import SOLVED, Asked
+from .branch_segments import Followed, P, Passing, Segment, Way
 
 # of how far along a tangent, where a located point may be off: rounding [1]
 _EXACT = 1e-14
 _TRIES = 40
+_HALVINGS = 40  # of a segment, to a rounding of 1e-12
 # Of a test's value at the segment's worse end: where it is zero it is rounding there,
 # some 1e-10; between two branches it jumps past zero and is never small.
 _SMALL = 1e-6
-_Test: TypeAlias = Callable[[BranchPoint], float]
+_Test: TypeAlias = Callable[[P], float]
 
 
-def critical_on(
-    asked: Asked, segment: Segment, dimensions: tuple[int, ...]
-) -> list[Critical] | None:
+def critical_on(way: Way[P], segment: Segment[P]) -> list[Passing[P]] | None:
     """What is critical between two neighbouring points of a branch.
 
     Args:
-        asked: What is solved.
+        way: Along the branch.
         segment: Of the branch.
-        dimensions: Counts of the family that leaves zeros among the eigenvalues.
 
     Returns:
         Critical points; None: a tangent turns or an eigenvalue changes its sign without
@@ -34,25 +30,53 @@ def critical_on(
         without a meeting that can be found there is none to tell of.
     """
     first, last = segment.first, segment.last
-    tests: list[tuple[str, _Test]] = []
-    if _passes(first.tangent[-1], last.tangent[-1]):
-        tests.append(("fold", lambda point: float(point.tangent[-1])))
-    same = first.eigenvalues.size == last.eigenvalues.size
-    if same and _passes(first.told.determinant, last.told.determinant):
-        if not tests:
-            tests.append(("zero crossing", lambda point: point.told.determinant))
-    elif same and first.told.determinant and _stability_changes(first, last):
-        tests.append(_of_pairs(first, last))
-    found: list[Critical] = []
-    for kind, test in tests:
-        point = _located(asked, segment, test, dimensions)
-        if point is None:
-            if kind in ("fold", "zero crossing"):
-                return None
+    found: list[Passing[P]] = []
+    fold: P | None = None
+    if _passes(first.turning, last.turning):
+        fold = _located(way, segment, lambda point: point.turning)
+        if fold is None:
+            return None
+        found.append(Passing("fold", fold, _nearest(fold, 0j)))
+    if first.exponents.size != last.exponents.size:
+        return found
+    crossed = 0
+    for k, (place, value) in enumerate(first.determinants):
+        if not _passes(value, last.determinants[k][1]):
             continue
-        value = _passing(kind, point, first, last)
-        found.append(Critical(kind, point.value, point.state, value, point))
+        crossed += 1
+        test = _determinant(k)
+        if place == 0j and fold is not None and _is_zero(test, fold, segment):
+            continue  # what turns back passes zero for that
+        point = _located(way, segment, test)
+        if point is None:
+            return None
+        found.append(Passing("zero crossing", point, _nearest(point, place)))
+    settled = all(value for _, value in first.determinants)
+    if not crossed and settled and first.unstable != last.unstable:
+        kind, test = _of_pairs(first, last)
+        point = _located(way, segment, test)
+        if point is not None:
+            worse = first if first.unstable > last.unstable else last
+            lead = _nearest(point, 1j * complex(worse.exponents[0]).imag)
+            found.append(Passing(kind, point, lead))
     return found
+
+
+def _determinant(k: int) -> _Test[P]:
+    return lambda point: point.determinants[k][1]
+
+
+def _is_zero(test: _Test[P], point: P, segment: Segment[P]) -> bool:
+    """Whether what passes zero between the ends of a segment does so at a point."""
+    largest = max(abs(test(segment.first)), abs(test(segment.last)))
+    return abs(test(point)) <= np.sqrt(_SMALL) * largest
+
+
+def _nearest(point: Followed, value: complex) -> complex:
+    values = point.exponents
+    if not values.size:
+        return 0j
+    return complex(values[np.argmin(np.abs(values - value))])
 
 
 def _passes(first: float, last: float) -> bool:
@@ -60,34 +84,25 @@ def _passes(first: float, last: float) -> bool:
     return first * last < 0.0 or (last == 0.0 and first != 0.0)
 
 
-def _stability_changes(first: BranchPoint, last: BranchPoint) -> bool:
-    return first.told.unstable != last.told.unstable
-
-
-def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
+def _of_pairs(first: P, last: P) -> tuple[str, _Test[P]]:
     """A pair that passes the imaginary axis, or two that meet on it."""
     worse, better = first, last
-    if first.told.unstable < last.told.unstable:
+    if first.unstable < last.unstable:
         worse, better = last, first
-    lead = complex(worse.eigenvalues[0])
-    same = better.eigenvalues[np.argmin(np.abs(better.eigenvalues - lead))]
-    error = better.told.errors[np.argmin(np.abs(better.eigenvalues - lead))]
+    lead = complex(worse.exponents[0])
+    same = better.exponents[np.argmin(np.abs(better.exponents - lead))]
+    error = better.errors[np.argmin(np.abs(better.exponents - lead))]
     # where two have met, one falls as fast as the other grows; else one passed alone,
     # and may be on the axis at the better end. Mirrored: one is nearer to the mirror
     # image than the axis is
-    mirrored = np.abs(worse.eigenvalues + lead.conjugate()).min() < abs(lead.real)
+    mirrored = np.abs(worse.exponents + lead.conjugate()).min() < abs(lead.real)
     if same.real < -10.0 * error or not mirrored:
         middle = 0.5 * (lead + complex(same))
+        return "Hopf", lambda point: _nearest(point, middle).real
 
-        def damping(point: BranchPoint) -> float:
-            nearest = np.argmin(np.abs(point.eigenvalues - middle))
-            return float(point.eigenvalues[nearest].real)
-
-        return "Hopf", damping
-
-    def apart(point: BranchPoint) -> float:
+    def apart(point: P) -> float:
         """Square of the distance of the two that are nearest: minus, then plus."""
-        values = point.eigenvalues
+        values = point.exponents
         i, j = np.triu_indices(values.size, 1)
         squares = (values[i] - values[j]) ** 2
         near = 0.5 * np.abs(values[i] + values[j] - 2j * lead.imag) < 0.5 * abs(lead)
@@ -97,9 +112,7 @@ def _of_pairs(first: BranchPoint, last: BranchPoint) -> tuple[str, _Test]:
     return "collision", apart
 
 
-def _located(
-    asked: Asked, segment: Segment, test: _Test, dimensions: tuple[int, ...]
-) -> BranchPoint | None:
+def _located(way: Way[P], segment: Segment[P], test: _Test[P]) -> P | None:
     """The root of a test on a segment, by the Illinois method; None: there is none."""
     first, last = segment.first, segment.last
     base = segment.base or first
@@ -110,10 +123,9 @@ def _located(
         s = b - fb * (b - a) / (fb - fa)
         if not min(a, b) < s < max(a, b):
             break
-        solution = step_from(asked, base, s)
-        if not solution.error < SOLVED:
+        point = way(base, s)
+        if point is None:
             break
-        point = made(asked, solution.point, base.tangent, dimensions)
         value = test(point)
         if abs(value) < least:
             best, least = point, abs(value)
@@ -127,15 +139,23 @@ def _located(
     return best if least <= small else None
 
 
-def _passing(
-    kind: str, point: BranchPoint, first: BranchPoint, last: BranchPoint
-) -> complex:
-    """The eigenvalue that passes or meets at a critical point."""
-    values = point.eigenvalues
-    if not values.size:
-        return 0j
-    if kind in ("fold", "zero crossing"):
-        return complex(values[np.argmin(np.abs(values))])
-    worse = first if first.told.unstable > last.told.unstable else last
-    lead = complex(worse.eigenvalues[0])
-    return complex(values[np.argmin(np.abs(values - 1j * lead.imag))])
+def bisected(way: Way[P], segment: Segment[P]) -> list[Passing[P]]:
+    """Where stability changes between the ends, of whatever multiplicity.
+
+    Several that pass zero together leave no sign of a determinant; where they have
+    passed they grow. Located to rounding of the way, or as near as the way is found.
+    """
+    base = segment.base or segment.first
+    ends = [(segment.near, segment.first), (segment.far, segment.last)]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (ends[0][0] + ends[1][0])
+        point = way(base, middle)
+        if point is None:
+            break
+        same = point.unstable == segment.first.unstable
+        ends[0 if same else 1] = middle, point
+    grown = max((point for _, point in ends), key=lambda point: point.unstable)
+    lead = complex(grown.exponents[0])
+    turns = min(abs(abs(lead.imag) - place.imag) for place, _ in grown.determinants)
+    single = turns <= float(grown.errors[0])
+    return [Passing("zero crossing" if single else "Hopf", grown, lead)]

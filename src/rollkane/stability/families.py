@@ -9,8 +9,8 @@ import numpy as np
 from ..identification import paths
 from ..validation.checks import FieldError, whole
 from .branch import Branch, BranchPoint, Critical
+from .branch_segments import Passing, Segment
 from .continuation import (
-    Segment,
     is_near,
     made,
     nullity,
@@ -20,7 +20,7 @@ from .continuation import (
     walked,
 )
 from .critical_points import critical_on
-from .kept_symmetries import refuse_lost
+from .kept_symmetries import refuse_lost, refuse_lost_on
 from .local_model import with_parameter
 from .narrow_windows import windows
 from .newton import SOLVED, Asked, solved
@@ -181,8 +181,15 @@ def _both_ways(
     """A branch from both of its starts outwards, and what lies between them."""
     dimensions = ahead.told.counts
 
-    def look(segment: Segment) -> list[Critical] | None:
-        return critical_on(plan.asked, segment, dimensions)
+    def onward(base: BranchPoint, far: float) -> BranchPoint | None:
+        solution = step_from(plan.asked, base, far)
+        if not solution.error < SOLVED:
+            return None
+        return made(plan.asked, solution.point, base.tangent, dimensions)
+
+    def look(segment: Segment[BranchPoint]) -> list[Critical] | None:
+        told = critical_on(onward, segment)
+        return None if told is None else [_critical(one) for one in told]
 
     how = plan.span, plan.points, plan.most, dimensions, look
     forward = walked(plan.asked, ahead, *how)
@@ -199,18 +206,37 @@ def _both_ways(
             # the start, too, lies between two
             line = [_turned(other.points[1]), *line]
             lengths, k = [other.lengths[0], *lengths], 1
-        inside = windows(plan.asked, line, lengths, dimensions)
-        told += [(sign * (place - k), one) for place, one in inside]
+        inside = windows(onward, line, lengths)
+        told += [(sign * (place - k), _critical(one)) for place, one in inside]
     found = _in_order(told, plan)
     if is_back:
         found = found[::-1]
     ends = backward.end, forward.end
     if is_back:
         ends = forward.end, backward.end
-    for point in (points[0], points[-1]):
-        there = with_parameter(plan.asked.problem, plan.asked.keys, point.value)
-        refuse_lost("steady_family.span", float(point.value), there, point.state)
+    _refuse_lost(plan, points)
     return Branch(plan.vary, tuple(points), tuple(found), plan.asked, plan.span, ends)
+
+
+def _refuse_lost(plan: _Plan, points: list[BranchPoint]) -> None:
+    """Refuse a branch that leads to where a symmetry does not hold that it counts.
+
+    Each point's own rates are looked at as it is found; here also what is near it, and
+    round the motions at both ends.
+    """
+    field, problem = "steady_family.span", plan.asked.problem
+    for point in (points[0], points[-1]):
+        there = with_parameter(problem, plan.asked.keys, point.value)
+        at = point.state, point.solution.xi
+        refuse_lost(field, float(point.value), there, *at)
+    if plan.asked.keys is None:
+        members = [(float(point.value), point.solution) for point in points]
+        refuse_lost_on(field, problem, members)
+
+
+def _critical(one: Passing[BranchPoint]) -> Critical:
+    point = one.point
+    return Critical(one.kind, point.value, point.state, one.exponent, point)
 
 
 def _in_order(told: list[tuple[float, Critical]], plan: _Plan) -> list[Critical]:

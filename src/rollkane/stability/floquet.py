@@ -45,6 +45,7 @@ def floquet(
     integrals: tuple[str, ...],
     slopes: np.ndarray,
     rtol: float = 5e-14,
+    families: int | None = None,
 ) -> Floquet:
     """Split a monodromy matrix.
 
@@ -55,6 +56,8 @@ def floquet(
         integrals: Names of integrals.
         slopes: Rows that it leaves as they are, shape (s, n).
         rtol: Relative tolerance of the runs that it comes from [1]; left out: rounding.
+        families: How many directions of a family there are at most, where that is
+            known: what comes near to one beside them passes it. None: by rank alone.
     """
     n = monodromy.shape[0]
     found = list(names)
@@ -81,6 +84,9 @@ def floquet(
             np.linalg.svd(rest - np.eye(rest.shape[0])),
         )
         small = values <= error * size
+        if families is not None:  # the smallest are the last ones
+            left = families - found.count(FAMILY)
+            small[: max(small.size - left, 0)] = False
         if not small.any():
             break
         found += [FAMILY] * int(small.sum())

@@ -5,14 +5,12 @@ dip on the way to it. Where it dips between three points the bottom is looked fo
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, Generic, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .branch import BranchPoint, Critical
-from .continuation import Segment, made, step_from
+from .branch_segments import Followed, P, Passing, Segment, Way
 from .critical_points import critical_on
-from .newton import SOLVED, Asked
 
 # Steps to the bottom of a dip, each by a parabola: one that is a parabola takes one or
 # two, others gain digits as secants do.
@@ -26,40 +24,36 @@ _SAME = 1e-6
 _BESIDE = 0.99
 # Of errors: what is further off the axis is damped, and not on it by rounding.
 _OFF = 10.0
-_Test: TypeAlias = Callable[[BranchPoint], float]
+_Test: TypeAlias = Callable[[P], float]
 _Values: TypeAlias = np.ndarray[Any, np.dtype[np.complex128]]
 
 
-class _Dip(NamedTuple):
+class _Dip(NamedTuple, Generic[P]):
     """Three points of a branch, s along the middle one's or first one's tangent."""
 
-    base: BranchPoint
+    base: P
     at: tuple[float, float, float]
-    points: tuple[BranchPoint, BranchPoint, BranchPoint]
+    points: tuple[P, P, P]
 
 
 def windows(
-    asked: Asked,
-    points: Sequence[BranchPoint],
-    lengths: Sequence[float],
-    dimensions: tuple[int, ...],
-) -> list[tuple[float, Critical]]:
+    way: Way[P], points: Sequence[P], lengths: Sequence[float]
+) -> list[tuple[float, Passing[P]]]:
     """What is critical in windows that lie between neighbouring points.
 
     Args:
-        asked: What is solved.
-        points: Of a way along a branch, with tangents that lead on.
+        way: Along the branch.
+        points: Of a way along it, with tangents that lead on.
         lengths: How far along its tangent from each to the next one.
-        dimensions: Counts of the family that leaves zeros among the eigenvalues.
 
     Returns:
         Places, by number of the points and parts of a step, and what is critical.
     """
-    found: list[tuple[float, Critical]] = []
+    found: list[tuple[float, Passing[P]]] = []
     for k in range(1, len(points) - 1):
         before, here, after = points[k - 1 : k + 2]
         at = -lengths[k - 1], 0.0, lengths[k]
-        for s, one in _within(asked, _Dip(here, at, (before, here, after)), dimensions):
+        for s, one in _within(way, _Dip(here, at, (before, here, after))):
             place = s / (lengths[k] if s > 0.0 else lengths[k - 1])
             found.append((k + place, one))
     for k, share in ((0, 1.0 - _BESIDE), (len(points) - 2, _BESIDE)):
@@ -67,47 +61,46 @@ def windows(
             continue
         first, last = points[k : k + 2]
         at = 0.0, share * lengths[k], lengths[k]
-        beside = _point(asked, first, at[1], dimensions)
+        beside = way(first, at[1])
         if beside is not None:
-            dip = _Dip(first, at, (first, beside, last))
-            inside = _within(asked, dip, dimensions)
+            inside = _within(way, _Dip(first, at, (first, beside, last)))
             found += [(k + s / lengths[k], one) for s, one in inside]
     return found
 
 
-def _within(
-    asked: Asked, dip: _Dip, dimensions: tuple[int, ...]
-) -> list[tuple[float, Critical]]:
+def _within(way: Way[P], dip: _Dip[P]) -> list[tuple[float, Passing[P]]]:
     """What is critical in a window between three points that are alike."""
     before, here, after = dip.points
-    counts = {(p.told.unstable, p.eigenvalues.size) for p in dip.points}
-    if len(counts) > 1 or before.told.determinant * after.told.determinant <= 0.0:
+    counts = {(p.unstable, p.exponents.size) for p in dip.points}
+    both = zip(before.determinants, after.determinants, strict=True)
+    if len(counts) > 1 or any(a * b <= 0.0 for (_, a), (_, b) in both):
         return []
     for test in _tests(before, here):
-        inner = _bottom(asked, dip, test, dimensions)
+        inner = _bottom(way, dip, test)
         if inner is None:
             continue
         low, s, high, bottom = inner
-        found: list[tuple[float, Critical]] = []
+        found: list[tuple[float, Passing[P]]] = []
         for end in (low, high):
-            edge = _point(asked, dip.base, end, dimensions)
+            edge = way(dip.base, end)
             if edge is None:
                 continue
             segment = Segment(edge, bottom, s, dip.base, end)
             if end == high:
                 segment = Segment(bottom, edge, end, dip.base, s)
-            told = critical_on(asked, segment, dimensions) or []
+            told = critical_on(way, segment) or []
             found += [(0.5 * (s + end), one) for one in told]
         return found
     return []
 
 
-def _tests(before: BranchPoint, here: BranchPoint) -> list[_Test]:
+def _tests(before: P, here: P) -> list[_Test[P]]:
     """What may pass zero and come back, above zero at the point before."""
-    sign = float(np.sign(before.told.determinant))
-    tests: list[_Test] = [lambda point: sign * point.told.determinant]
-    values: _Values = before.eigenvalues
-    errors = before.told.errors
+    tests: list[_Test[P]] = []
+    for k, (_, value) in enumerate(before.determinants):
+        tests.append(_determinant(k, float(np.sign(value))))
+    values: _Values = before.exponents
+    errors = before.errors
     turns = np.abs(values.imag) > _OFF * errors
     damped = values[turns & (np.abs(values.real) > _OFF * errors)]
     if damped.size:
@@ -120,15 +113,19 @@ def _tests(before: BranchPoint, here: BranchPoint) -> list[_Test]:
     return tests
 
 
-def _nearest(point: BranchPoint, value: complex) -> complex:
-    values = point.eigenvalues
+def _determinant(k: int, sign: float) -> _Test[P]:
+    return lambda point: sign * point.determinants[k][1]
+
+
+def _nearest(point: Followed, value: complex) -> complex:
+    values = point.exponents
     return complex(values[np.argmin(np.abs(values - value))])
 
 
-def _gap(point: BranchPoint) -> float:
+def _gap(point: Followed) -> float:
     """Least squared distance of two that turn one way, below zero off the axis."""
-    values: _Values = point.eigenvalues
-    turning = values[values.imag > _OFF * point.told.errors]
+    values: _Values = point.exponents
+    turning = values[values.imag > _OFF * point.errors]
     i, j = np.triu_indices(turning.size, 1)
     if not i.size:
         return np.inf
@@ -137,8 +134,8 @@ def _gap(point: BranchPoint) -> float:
 
 
 def _bottom(
-    asked: Asked, dip: _Dip, test: _Test, dimensions: tuple[int, ...]
-) -> tuple[float, float, float, BranchPoint] | None:
+    way: Way[P], dip: _Dip[P], test: _Test[P]
+) -> tuple[float, float, float, P] | None:
     """A point of other stability where a test dips, between two; None: there is none.
 
     Returns:
@@ -151,10 +148,10 @@ def _bottom(
         s = _vertex(at, values)
         if abs(s - at[1]) < _SAME * (at[2] - at[0]):
             return None
-        point = _point(asked, dip.base, s, dimensions)
+        point = way(dip.base, s)
         if point is None:
             return None
-        if point.told.unstable != dip.points[0].told.unstable:
+        if point.unstable != dip.points[0].unstable:
             return at[0], s, at[2], point
         k = 1 if s < at[1] else 2
         at.insert(k, s)
@@ -169,13 +166,3 @@ def _vertex(at: list[float], values: list[float]) -> float:
     a, b = at[0] - at[1], at[2] - at[1]
     left, right = (values[0] - values[1]) / a, (values[2] - values[1]) / b
     return at[1] + 0.5 * (a * right - b * left) / (right - left)
-
-
-def _point(
-    asked: Asked, base: BranchPoint, s: float, dimensions: tuple[int, ...]
-) -> BranchPoint | None:
-    """The branch's point a way along a tangent, either way; None: it is not found."""
-    solution = step_from(asked, base, s)
-    if not solution.error < SOLVED:
-        return None
-    return made(asked, solution.point, base.tangent, dimensions)

@@ -88,6 +88,12 @@ def neutral(around: IndependentCoordinates, group: Symmetries) -> Neutral:
     )
 
 
+def tangents(around: IndependentCoordinates, group: Symmetries) -> np.ndarray:
+    """Changes of the coordinates that generators make, one row each, shape (K, n)."""
+    rows, _ = _rows(around, group, False, "")
+    return np.asarray(rows, float)
+
+
 @for_one_call
 def _rows(
     around: IndependentCoordinates, group: Symmetries, autonomous: bool, kind: str

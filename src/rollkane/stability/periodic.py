@@ -15,15 +15,21 @@ from ..simulation.run_options import RunOptions
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError, is_traced, positive, real, whole
 from .closing_newton import PERIOD, Held, Solved, coordinates_of, scales, solve
+from .first_nodes import first_nodes
 from .floquet import Floquet, floquet
 from .independent_coordinates import independent_coordinates
-from .newton import SMALL
-from .orbit_symmetries import orbit, spread, verified_near
+from .kept_symmetries import LostSymmetry
+from .orbit_symmetries import (
+    orbit,
+    refuse_strays,
+    relative_orbit,
+    verified_near,
+)
 from .periodic_holds import check_invariant, held_of
 from .quantities import NAMED
 from .repetition import check_repeats
-from .shooting import Nodes, Shooting, closing, measured, offset, segment
-from .symmetries import Symmetries, symmetries
+from .shooting import Nodes, Shooting, measured
+from .symmetries import symmetries
 
 _FIELD = "periodic_motion"
 # Tolerance of shooting: Newton's method ends where runs end to be repeatable.
@@ -84,8 +90,12 @@ class PeriodicMotion:
 
         Spectral stability: to first order, modulo flow, symmetries and family.
         """
-        outside = np.abs(self.multipliers) - 1.0
-        return bool(np.all(outside <= 2.0 * self.uncertain))
+        return not bool(np.any(self.outside))
+
+    @property
+    def outside(self) -> np.ndarray:
+        """Which multipliers are outside of the unit circle beyond rounding, (p,)."""
+        return np.abs(self.multipliers) - 1.0 > 2.0 * self.uncertain
 
     @property
     def volume_ratio(self) -> float:
@@ -210,43 +220,43 @@ def periodic_motion(
     seen = orbit(shot, start, period)
     shot = verified_near(shot, seen)
     while True:
-        motion = _motion(shot, start, period, segments, hold)
-        seen += orbit(shot, motion.state, motion.period)
+        found, held = _solution(shot, start, period, segments, hold)
+        try:
+            refuse_strays(f"{_FIELD}.period", period, shot, found.nodes, found.linear)
+            lost = None
+        except LostSymmetry as error:
+            lost = error
+        seen += relative_orbit(shot, found.nodes, lost is not None)
         verified = verified_near(shot, seen)
         if len(verified.group) == len(shot.group) and verified.driven == shot.driven:
-            return motion
+            if lost is not None:
+                raise lost
+            return motion_of(shot, found, held)
         shot = verified  # of fewer symmetries, each time
 
 
-def _motion(
+def _solution(
     shot: Shooting,
     start: State,
     period: float,
     segments: int,
     hold: Mapping[str, Any] | None,
-) -> PeriodicMotion:
-    """The motion near a start, with what is held."""
+) -> tuple[Solved, tuple[Held, ...]]:
+    """The motion near a start, and what is held of it.
+
+    Raises:
+        FieldError: there is none.
+    """
     held = held_of(shot, start, period, hold)
     check_invariant(shot, start, held)
     if shot.driven:
         check_repeats(shot, start, period)
         held = (*(h for h in held if h.name != PERIOD), Held(PERIOD, period))
-    nodes = _nodes(shot, start, period, segments)
-    return solved_motion(shot, nodes, held)
-
-
-def solved_motion(
-    shot: Shooting, nodes: Nodes, held: tuple[Held, ...]
-) -> PeriodicMotion:
-    """The motion near some nodes.
-
-    Raises:
-        FieldError: there is none, or a steady one.
-    """
+    nodes = first_nodes(shot, start, period, segments)
     found = solve(shot, nodes, held, closeness(shot))
     if not found.converged:
         _refuse(found, held)
-    return motion_of(shot, found, held)
+    return found, held
 
 
 def closeness(shot: Shooting) -> float:
@@ -255,8 +265,16 @@ def closeness(shot: Shooting) -> float:
     return _ERRORS * rtol
 
 
-def motion_of(shot: Shooting, found: Solved, held: tuple[Held, ...]) -> PeriodicMotion:
+def motion_of(
+    shot: Shooting, found: Solved, held: tuple[Held, ...], families: int | None = None
+) -> PeriodicMotion:
     """What Newton's method found, with its multipliers.
+
+    Args:
+        shot: What was shot.
+        found: That.
+        held: Of it.
+        families: Directions of a family, at most; None: by rank.
 
     Raises:
         FieldError: it is a steady motion.
@@ -272,7 +290,7 @@ def motion_of(shot: Shooting, found: Solved, held: tuple[Held, ...]) -> Periodic
     for one in linear.segments:
         product = np.asarray(one.by_start) @ product
     monodromy = np.linalg.solve(np.asarray(linear.closed.by_start), product)
-    split = _split(shot, nodes, monodromy, found)
+    split = _split(shot, nodes, monodromy, found, families)
     if not split.error < _WRONG:
         problem = (
             f"leads to a motion whose flow or energy does not come back, by "
@@ -300,14 +318,19 @@ def motion_of(shot: Shooting, found: Solved, held: tuple[Held, ...]) -> Periodic
 
 
 def _split(
-    shot: Shooting, nodes: Nodes, monodromy: np.ndarray, found: Solved
+    shot: Shooting,
+    nodes: Nodes,
+    monodromy: np.ndarray,
+    found: Solved,
+    families: int | None,
 ) -> Floquet:
     around = found.linear.around
     size = scales(coordinates_of(shot, nodes.states[0]), nodes.period)
     directions, slopes = around.directions / size, around.slopes * size
     like = monodromy * size[None] / size[:, None]
     rtol = closeness(shot) / _ERRORS
-    return floquet(like, around.names, directions, around.integrals, slopes, rtol)
+    known = around.names, directions, around.integrals, slopes
+    return floquet(like, *known, rtol, families)
 
 
 def _prepared(
@@ -330,47 +353,6 @@ def _prepared(
     group = symmetries(scene, around.reference, time)
     shot = Shooting(scene, group, time, group.drift is None, options)
     return shot, around.reference
-
-
-def _nodes(shot: Shooting, start: State, period: float, segments: int) -> Nodes:
-    """Nodes along the run from the guess, and the displacement that fits its end."""
-    K = len(shot.group)
-    states = spread(shot, start, period, segments)
-    nodes = Nodes(tuple(states), period, np.zeros(K))
-    if not K:
-        return nodes
-    end = segment(shot, nodes, segments - 1, start).end
-    tries = [_displaced(shot, nodes, end, s) for s in _beginnings(shot.group)]
-    best = min(tries, key=lambda one: one[1])
-    return nodes._replace(steps=best[0])
-
-
-def _beginnings(group: Symmetries) -> list[np.ndarray]:
-    """Displacements from which turns of any angle are found."""
-    turns = [k for k, name in enumerate(group.names) if "about" in name]
-    found = [np.zeros(len(group))]
-    for k in turns:
-        found += [a * np.eye(len(group))[k] for a in (-2.0, 2.0, np.pi)]
-    return found
-
-
-def _displaced(
-    shot: Shooting, nodes: Nodes, end: State, steps: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """The displacement that brings the start nearest to an end, and what is left."""
-    left = np.inf
-    around = coordinates_of(shot, end)
-    size = scales(around, nodes.period)
-    for _ in range(12):
-        closed = closing(shot, nodes._replace(steps=steps))
-        short = np.asarray(offset(shot, closed.target, end)) / size
-        slopes = np.asarray(closed.by_steps) / size[:, None]
-        now = float(np.linalg.norm(short))
-        if not now < left:
-            break
-        left = now
-        steps = steps + np.linalg.lstsq(slopes, short, rcond=SMALL)[0]
-    return steps, left
 
 
 def _refuse(found: Solved, held: tuple[Held, ...]) -> None:

@@ -91,6 +91,21 @@ def spectrum(
     return Spectrum(values, modes, errors, zeros, own, product, counts, clear)
 
 
+def strays(point: Point) -> np.ndarray:
+    """Of the rates beside each group direction, what lies in no group direction.
+
+    Nothing does where the group is one of symmetries: as a share of the column or of
+    what the motion gives, shape (K,).
+    """
+    A = point.local.slope / point.size[:, None] * point.size[None]
+    ways = point.local.groups / point.size[:, None]
+    length = np.linalg.norm(ways, axis=0)
+    ways = ways / np.where(length > 0.0, length, 1.0)
+    across = _complement(point.group.moved)
+    own = _column_sizes(A, point.least).max(initial=point.least)
+    return np.linalg.norm(across.T @ A @ ways, axis=0) / own
+
+
 def _deflated(
     A: np.ndarray,
     basis: np.ndarray,

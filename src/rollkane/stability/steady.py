@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from os import PathLike
 from typing import Any
 
@@ -16,6 +17,7 @@ from ..validation.checks import FieldError, is_traced
 from .energy_sign import EnergySign, energy_sign
 from .independent_coordinates import refuse_kind, refuse_rank
 from .kane_problem import KaneProblem, kane_problem
+from .kept_symmetries import group_orbit
 from .newton import (
     SOLVED,
     Asked,
@@ -164,29 +166,36 @@ def steady_motion(scene: Any, guess: Any, hold: Any = ()) -> SteadyMotion:
     Source: docs/theory.md, (10.2) to (10.4).
     """
     problem, state = problem_of(scene, guess)
-    seen = [state]
+    start: Callable[[Any], np.ndarray] = lambda part: np.asarray(part)[None]
+    seen = [(np.zeros(1), jax.tree.map(start, state))]
     while True:
         asked, found = _solution(problem, state, hold)
-        seen.append(found.point.state)
-        verified = _verified(problem, seen)
+        point = found.point
+        seen.append(group_orbit(problem, point.state, point.xi))
+        verified = _verified(problem, point.state, seen)
         if len(verified.group) == len(problem.group):
             return motion_of(asked, found)
         problem = verified  # of fewer symmetries, each time
 
 
-def _verified(problem: AbstractProblem, seen: list[Any]) -> AbstractProblem:
+def _verified(
+    problem: AbstractProblem, state: Any, seen: list[tuple[np.ndarray, Any]]
+) -> AbstractProblem:
     """The problem with the symmetries that hold near all of some states.
 
-    What a search comes to, the last of them, may be far from its guess, where less is
-    symmetric; of a Kane system those there count, if they are fewer.
+    What a search comes to may be far from its guess, where less is symmetric, and its
+    motion goes on from there; of a Kane system the symmetries at that state count, if
+    they are fewer.
     """
     if isinstance(problem, KaneProblem):
-        there, _ = kane_problem(problem.system, seen[-1])
+        there, _ = kane_problem(problem.system, state)
         return there if len(there.group) < len(problem.group) else problem
     if not isinstance(problem, RollingProblem):
         return problem
-    stacked = jax.tree.map(lambda *parts: np.stack(parts), *seen)
-    group = symmetries_at(problem.scene, np.zeros(len(seen)), stacked)
+    times, places = zip(*seen, strict=True)
+    join: Callable[..., np.ndarray] = lambda *parts: np.concatenate(parts)
+    states = jax.tree.map(join, *places)
+    group = symmetries_at(problem.scene, np.concatenate(times), states)
     return rolling_problem(problem.scene, group)
 
 
