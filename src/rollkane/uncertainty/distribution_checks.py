@@ -1,6 +1,7 @@
 """What distributions are made of: checked numbers of one shape, covariances."""
 
 import hashlib
+from collections.abc import Callable
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -89,8 +90,7 @@ def unit(field: str, value: Any) -> Float[Array, "3"]:
     """
     vector = real(field, value, (3,), "three components of any length but zero")
     remedy = "give a vector of any length but zero"
-    length = jnp.max(jnp.abs(vector))
-    none = length == 0.0 if is_traced(vector) else np.asarray(length) == 0.0
+    none: Callable[[Any], Any] = lambda x: ~(x != 0.0).any()
     vector = refuse(vector, none, field, "has no direction", remedy)
     vector = vector / jnp.max(jnp.abs(vector))  # so that no square overflows
     return vector / jnp.sqrt(jnp.sum(vector * vector))
