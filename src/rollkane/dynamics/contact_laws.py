@@ -26,7 +26,7 @@ from ..geometry.small_linear import (
 )
 from ..kinematics.contact import Contact
 from ..validation.checks import FieldError
-from .directed_friction import Balance, DirectedFriction, first_way
+from .directed_friction import Balance, DirectedFriction, first_way, settling_way
 from .mass_matrix import System
 from .momentum import (
     Solution,
@@ -151,7 +151,8 @@ def _slipping(
         push = _by_normal_force(scene, contact, system, resisting, shares)
         push = push._replace(one_sided=friction.one_sided)
         if isinstance(friction, DirectedFriction) and friction.decides:
-            push, turn = _as_it_begins(friction, solve, rhs, push, pair)
+            along = jnp.stack([dot(slip, e) for e in pair])
+            push, turn = _as_it_begins(friction, solve, rhs, push, pair, along)
         x, (N,), margin = _solve(solve, rhs, [push])
         moment = None if resisting is None else N * resisting
         turn = None if turn is None else turn * jnp.abs(N)
@@ -166,11 +167,13 @@ def _as_it_begins(
     rhs: list[Array],
     push: _Push,
     pair: tuple[Float[Array, "3"], Float[Array, "3"]],
+    slip: Float[Array, "2"],
 ) -> tuple[_Push, Float[Array, ""]]:
     """The push of a slip that may only begin, and the slip's turn for one newton.
 
-    With accelerations ``b + N (q - mu A s)`` along the surface and the normal force by
-    ``N (1 - mu r . s) = v``, all times that and v: ``B - M s`` (docs/theory.md, (8.5)).
+    ``slip`` is along the pair. With accelerations ``b + N (q - mu A s)`` along the
+    surface and the normal force by ``N (1 - mu r . s) = v``, all times that and v:
+    ``B - M s`` (docs/theory.md, (8.5)).
     """
     mu, force = friction.coefficient, push.force
     bare, answer = solve(rhs), solve([*force[:-2], None, None])
@@ -192,7 +195,7 @@ def _as_it_begins(
     # zero in a lane that follows its slip: it need not find a way, and 0 times NaN is
     # NaN in reverse mode
     found = lambda: jnp.where(friction.begins, first_way(balance, known), 0.0)
-    begun = lambda: -mu * found()
+    begun = lambda: -mu * settling_way(found(), slip)
     follows = lambda: jnp.stack([x for x in force[-2:] if x is not None])
     along = cast(Array, jax.lax.cond(friction.begins, begun, follows))
     picked = [*force[:-2], *components(along)]

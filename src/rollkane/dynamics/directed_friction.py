@@ -1,8 +1,9 @@
 """Coulomb friction of a slip that may vanish: as it begins, while it lasts, as it ends.
 
-A slip U = r s that begins does not turn: friction would turn it at a rate mu N / r. So
-its friction acts along the direction at which the slip's rate is along the slip, until
-it is fast enough to be followed. Equations: docs/theory.md, (8.4) and (8.5).
+A slip U = r s that begins is turned by friction, at a rate of mu N / r, to where it
+does not turn. So its friction acts along the direction at which the slip's rate is
+along the slip, but for its lag, until it is fast enough to be followed. Equations:
+docs/theory.md, (8.4) and (8.5).
 """
 
 from collections.abc import Callable
@@ -20,8 +21,8 @@ from .precision import at_precision
 # Speeds are those of double precision; of another, see at_precision.
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9
-# [m/s]: until then a slip begins. With mu N / m = 3 m/s^2 its direction lags by ONSET
-# times its turn over that, which is left out: 3e-5 for 10 rad/s, 3e-10 m/s of the slip
+# [m/s]: until then a slip begins, and is turned back to its way as if of that size:
+# with mu N / m = 3 m/s^2 it settles in 3e-6 s, in steps of twice that
 ONSET = 1e-5
 # The search for that direction: at most so far at once [rad], until so near that one
 # step more is rounding (its error is squared), at most so often: half a turn and ten
@@ -131,6 +132,20 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     # a slip stays where it does not turn, and turns back to: elsewhere it cannot begin
     found = (angle <= close) & (slope < 0.0)
     return jnp.where(found, s, jnp.nan)
+
+
+def settling_way(s: Float[Array, "2"], slip: Float[Array, "2"]) -> Array:
+    """Way of the friction of a slip U that begins along s, which may itself turn [1].
+
+    Friction turns a slip r s back onto s at a rate of sigma / r, so that it lags by
+    ``r / sigma`` times the turn of s. One that is turned back at ``sigma / R``, from
+    ``U . s' / R`` across s, lags by as much: with R = ``ONSET`` slow enough for
+    steps to follow, and as it will be followed from there on. Without, U would sum its
+    rates along each s that there was.
+    """
+    across = jnp.stack([-s[1], s[0]])
+    lag = dot(slip, across) / at_precision(ONSET, slip)
+    return (s + lag * across) / jnp.sqrt(1.0 + lag * lag)
 
 
 def _turn(balance: Balance, s: Float[Array, "2"]) -> tuple[Array, Array]:

@@ -129,7 +129,10 @@ class Loop(Trials):
         slid = cast(HybridState, jax.lax.cond(begun, straight, lambda: end.y))
         before = at.mode, kind, at.direction, tried.t, slid
         changed = lambda: motion.changed(*before, event, verdict.rests)
-        same = lambda: (at.mode, at.direction, slid)
+        # what begins is looked for from where it was last: its way may turn round
+        first = (at.mode == Mode.SLIPPING) & begins(at.direction)
+        way = jnp.where(first, 0.5 * end.way, at.direction)
+        same = lambda: (at.mode, way, slid)
         mode, direction, y = cast(Begun, jax.lax.cond(event, changed, same))
         way = motion.along(mode, direction, y, verdict.turned)
         return slid, Place(tried.t, y, mode, way)

@@ -37,12 +37,14 @@ def _while_it_turns(at: Place, end: Step) -> Float[Array, ""]:
     """The longest step in which a slip's direction settles, and does not swing.
 
     Friction turns it at a rate mu N / r, stiff where r is small. A straight slip does
-    not show it; what differs from it, its tangents, would grow with each step.
+    not show it; what differs from it, its tangents, would grow with each step. One
+    that begins settles as slowly as one of ``ONSET``.
     """
     slip = jnp.sqrt(dot(end.y.slip, end.y.slip))
     slip = slip + at_precision(SMALLEST_SLIP, slip)
     turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
-    turns &= (slip > at_precision(ONSET, slip)) | ~begins(at.direction)
+    settling = jnp.maximum(slip, at_precision(ONSET, slip))
+    slip = jnp.where(begins(at.direction), settling, slip)
     turn = jnp.where(turns, end.turn, 1.0)
     return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
 
@@ -65,16 +67,18 @@ def _before_its_end(
     return jnp.where(ends, NEARER * until, jnp.inf)
 
 
-def is_as_it_began(at: Place, end: Step) -> Bool[Array, ""]:
+def is_as_it_began(at: Place, t: Float[Array, ""], end: Step) -> Bool[Array, ""]:
     """Whether a slip that begins is not yet far too fast to be one.
 
     Nor too fast to be one still where the contact ends: its friction, whose direction
-    its tangents need, is rounding there.
+    its tangents need, is rounding there. Nor swings, by a step that is still as long
+    as those before it began.
     """
     squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
     onset = at_precision(ONSET, squared)
     fast = (squared > (2.0 * onset) ** 2) | (lifts & (squared > onset**2))
-    return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~fast
+    swings = t - at.t > 1.25 * _while_it_turns(at, end)
+    return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~(fast | swings)
 
 
 def has_turned(at: Place, end: Step) -> Bool[Array, ""]:

@@ -375,7 +375,8 @@ class Trials(eqx.Module):
         Nor a slip that begins what it begins as.
         """
         at, reach = c.place, self.reach
-        scene, stands = self.motion.scenes.rolling, is_as_it_began(at, tried.end)
+        scene = self.motion.scenes.rolling
+        stands = is_as_it_began(at, tried.t, tried.end)
         y = tried.end.y
         if watches_headings(scene):
             ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)
