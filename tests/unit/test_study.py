@@ -244,7 +244,7 @@ def known():
 
 
 CHANGED = {
-    "mass": (dict(mass=1.0 + 1e-15), {"scene and start", "observables", "events"}),
+    "mass": (dict(mass=1.0 + 1e-15), {"scene and start", "observables"}),
     "record": (dict(record=RECORD + 1e-15), {"scene and start"}),
     "level": (dict(level=0.05), {"events"}),
     "direction": (dict(direction=1), {"events"}),

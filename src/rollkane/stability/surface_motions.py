@@ -132,6 +132,9 @@ def null_space(rows: np.ndarray, loose: float) -> np.ndarray:
     """Unit vectors that all rows leave at zero, shape (K, columns)."""
     if not rows.shape[1]:
         return np.zeros((0, 0))
+    if rows.shape[0] > rows.shape[1]:
+        # which has the same; the left vectors of many rows would fill the memory
+        rows = np.linalg.qr(rows, mode="r")
     _, values, right = np.linalg.svd(rows, full_matrices=True)
     full = np.zeros(rows.shape[1])
     full[: values.size] = values
