@@ -37,9 +37,10 @@ if "XLA_FLAGS" not in os.environ and "PYTEST_XDIST_WORKER" not in os.environ:
     some = together if _known(together) else " ".join(filter(_known, FASTER))
     os.environ["XLA_FLAGS"] = some
 
-# Two fifths of the tests' time are a C compiler's, of which optimizing is the most. The
-# numbers are the same, to the bit; `make test-releases` and `make test-all` optimize.
-os.environ.setdefault("ROLLKANE_CFLAGS", "-O0")
+# Two fifths of the tests' time are a C compiler's, most of it optimizing; without any,
+# long runs take longer than is saved. The numbers are the same, to the bit; `make
+# test-releases` and `make test-all` optimize.
+os.environ.setdefault("ROLLKANE_CFLAGS", "-O1")
 
 # loops that tests compile are kept with the tests, not in the user's cache folder
 os.environ.setdefault(

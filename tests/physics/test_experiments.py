@@ -44,7 +44,13 @@ def _error(push):
     return SIGMA / np.linalg.norm(slope - taken)
 
 
-@pytest.mark.parametrize("prior", [None, ((0.0, 0.5, 0.0), (1e6, 1e6, 0.1))])
+@pytest.mark.parametrize(
+    "prior",
+    [
+        None,
+        pytest.param(((0.0, 0.5, 0.0), (1e6, 1e6, 0.1)), marks=pytest.mark.slow),
+    ],
+)
 def test_experiments_improve_where_the_others_are_not_seen(prior):
     """A spin that no sample shows, or only a prior, does not end the ascent."""
     scene = _scene()

@@ -142,6 +142,7 @@ def _numbers(state):
     return [getattr(state, name) for name in (*names, "alpha", "alpha_dot")]
 
 
+@pytest.mark.slow
 def test_a_hump_outside_of_a_graph_s_samples():
     def hump(x, y, p):
         return 1e-3 * jnp.exp(-((x - p["x"]) ** 2 + y**2) / 0.01)

@@ -151,6 +151,7 @@ def test_a_family_goes_to_its_span_s_end_beside_the_rest():
     assert family.values[0] == pytest.approx(low, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_guess_that_leads_to_no_numbers_is_refused():
     """A millimetre ball 20 m up the side of a wide bowl, whose equations overflow."""
     size = 1e-3
