@@ -5,7 +5,7 @@ it by an affine law ``u' = M u + b`` in every coordinates of the catalogue (a pa
 direction, a point), so that its flow is exact.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -134,7 +134,7 @@ def null_space(rows: np.ndarray, loose: float) -> np.ndarray:
         return np.zeros((0, 0))
     if rows.shape[0] > rows.shape[1]:
         # which has the same; the left vectors of many rows would fill the memory
-        rows = np.linalg.qr(rows, mode="r")
+        rows = cast(np.ndarray, np.linalg.qr(rows, mode="r"))
     _, values, right = np.linalg.svd(rows, full_matrices=True)
     full = np.zeros(rows.shape[1])
     full[: values.size] = values
