@@ -77,6 +77,7 @@ def is_as_it_began(at: Place, t: Float[Array, ""], end: Step) -> Bool[Array, ""]
     squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
     onset = at_precision(ONSET, squared)
     fast = (squared > (2.0 * onset) ** 2) | (lifts & (squared > onset**2))
+    # a quarter more is 2.5, to which methods of order 3 are stable
     swings = t - at.t > 1.25 * _while_it_turns(at, end)
     return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~(fast | swings)
 

@@ -24,7 +24,8 @@ from .symmetries import symmetries_at
 _SAME = 1e-6
 # Of the fastest turn: what is slower is rounding of Newton's method, 1e-10.
 _STILL = 1e-8
-# States of a turn that are looked at.
+# States of a turn that are looked at, every 0.1 rad: what breaks a symmetry between two
+# of them alone is not seen (docs/steady.md).
 _PLACES = 64
 # Of a linear model's largest column: what is less is rounding, 1e-12, and the error of
 # generators, 1e-9.
