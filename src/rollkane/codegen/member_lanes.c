@@ -28,7 +28,7 @@ INLINE const real *told_of(const Block *b, long i) {
 
 /* Where one of two values may dip below zero inside of a step, by what was seen of it
  * (event_bounds.py: between). */
-static mask may_dip(row seen[][3]) {
+static mask may_dip(row seen[][SEEN]) {
     mask dips = mask_of(0);
     for (int c = 0; c < 2; c++) {
         const row known[] = {seen[0][c], seen[STAGES][c], seen[STAGES + 1][c],

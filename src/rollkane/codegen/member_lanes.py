@@ -35,7 +35,7 @@ class LaneMode(NamedTuple):
             what is seen: two values that are positive while the mode lasts. Of a slip
             three more numbers follow those of the state in ``y``: its direction.
         end: The same at the end of a step; of a slip its length times the rate of its
-            turn [m/s^2] is seen, too.
+            turn [m/s^2] and the normal are seen, too: what it has along that is error.
         moved: How many numbers of a state the mode moves, the first ones.
         slips: Whether the last three of these are a slip.
     """
@@ -178,6 +178,7 @@ class MemberLanes:
             "CARRIED": count,
             "MODES": len(modes),
             "N": n,
+            "SEEN": 6,  # two values; at the end of a slip its turn and the normal, too
             "STAGES": len(weights.rows) + 1,
             "ORDER": weights.order,
             "LOOKS": len(bounds.dips.bulge_seen),

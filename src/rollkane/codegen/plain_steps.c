@@ -66,7 +66,7 @@ static void P(run)(Block *b) {
     P(Lanes) a;
     real u[P(NUMBERS) + 1], end_u[P(END_NUMBERS) + 1];
     row v[P(ROWS) + 1], end_v[P(END_ROWS) + 1], k[STAGES][P(ACTIVE)], y[P(GIVEN)];
-    row error[P(ACTIVE)], first[P(ACTIVE)], seen[LOOKS][3], end[3];
+    row error[P(ACTIVE)], first[P(ACTIVE)], seen[LOOKS][SEEN], end[SEEN];
     memset(&a, 0, sizeof a);
     for (int l = 0; l < LANES; l++) a.place[l] = -1;
     P(prepare)(b->shared, NULL, u, v);
@@ -116,7 +116,9 @@ static void P(run)(Block *b) {
             plain &= a.goal - a.t > a.step * (real)(1.0 + 1e-9);
             plain &= a.tried + (real)1 < a.most;
 #if P_SLIPS
-            row slip = splat(0), along = splat(0);
+            row slip = splat(0), along = splat(0), off = splat(0);
+            for (int c = 0; c < 3; c++) off += y[P(SLIP) + c] * end[3 + c];
+            for (int c = 0; c < 3; c++) y[P(SLIP) + c] -= off * end[3 + c];
             for (int c = 0; c < 3; c++) slip += y[P(SLIP) + c] * y[P(SLIP) + c];
             const mask follows = slip > FOLLOWED * FOLLOWED;
             slip = sqrt_row(slip);

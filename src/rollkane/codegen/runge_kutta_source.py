@@ -80,7 +80,7 @@ def watched_attempt_source(
         f"    {known},",
         "    const real *restrict end_u, const row *restrict end_v,",
         f"    row k[][ACTIVE_{mode}], row *restrict y_new, row *restrict error,",
-        "    row seen[][3]) {",
+        "    row seen[][SEEN]) {",
     ]
     last = len(weights.rows)
     for i, (stage, time) in enumerate(_stages(weights), 1):
@@ -96,7 +96,7 @@ def watched_attempt_source(
         "}",
         f"static void beside_{mode}(row t, row h, const row *restrict y,",
         f"    {known},",
-        f"    row k[][ACTIVE_{mode}], row seen[][3]) {{",
+        f"    row k[][ACTIVE_{mode}], row seen[][SEEN]) {{",
         f"row at[GIVEN_{mode}], rates[ACTIVE_{mode}];",
         f"{rest} at[c] = y[c];",
     ]

@@ -269,7 +269,9 @@ def _modes(
             slips = mode == Mode.SLIPPING
             direction = numbers[moved:] if slips else jnp.zeros(3, numbers.dtype)
             rates, seen = members.motion(leaves).plain(mode, direction, t, y, turns)
-            shown = [seen.values, seen.turn[None]] if turns else [seen.values]
+            shown = [seen.values]
+            if turns:
+                shown += [seen.turn[None], seen.out]
             return pack(rates)[:moved], jnp.concatenate(shown)
 
         slips = mode == Mode.SLIPPING

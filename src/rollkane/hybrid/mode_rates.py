@@ -37,18 +37,21 @@ class Seen(NamedTuple):
             lasts.
         way: Direction of a slip that begins, against its friction, fixed axes [1].
         turn: Slip times the rate at which friction turns it [m/s^2].
+        out: Of a slip, the surface's normal, fixed axes [1]; else zero.
     """
 
     values: Float[Array, "2"]
     way: Float[Array, "3"]
     turn: Float[Array, ""]
+    out: Float[Array, "3"]
 
 
 class Step(NamedTuple):
     """A step: where it led, and what was seen on the way.
 
     Attributes:
-        y: State; in flight, with its contact coordinates at the nearest points.
+        y: State; in flight, with its contact coordinates at the nearest points; of a
+            slip, without what the step's error left of it along the normal.
         error: Of the state, an estimate.
         rates: Of the state at every stage, the last at the end.
         values: Of the events at the end: two numbers, positive while the mode lasts.
@@ -124,7 +127,10 @@ class ModeRates(eqx.Module):
         """A step from t to t1; see :meth:`stages`."""
         known, end, seen, last = self.stages(mode, direction, t, t1, y, watched)
         error = (t1 - t) * stage_sum(self.tableau.error, known)
-        values, end = self.with_gap(mode, t1, unpack(end, y), last.values)
+        y = unpack(end, y)
+        # nothing of it ends along the normal: what steps leave there would outlast it
+        y = eqx.tree_at(lambda y: y.slip, y, _along_surface(y.slip, last.out))
+        values, end = self.with_gap(mode, t1, y, last.values)
         return Step(end, error, known, values, seen, last.way, last.turn)
 
     def stages(
@@ -162,7 +168,7 @@ class ModeRates(eqx.Module):
 
         known = jnp.zeros((count, start.shape[0]), start.dtype)
         unseen = jnp.zeros((nodes.shape[0], 2), start.dtype)
-        last = Seen(unseen[0], jnp.zeros_like(direction), jnp.zeros_like(h))
+        last = Seen(unseen[0], *_nothing_seen(direction, h)[1:])
         carry = jnp.asarray(0), known, start, unseen, last
         if watched:
 
@@ -229,7 +235,7 @@ class ModeRates(eqx.Module):
         if modes.sticking is not None:
             grip = self._grip(press, pull)
         values = jnp.stack([grip, press if modes.lifts else endless])
-        return of(rates), Seen(values, jnp.zeros_like(direction), jnp.zeros_like(t))
+        return of(rates), _nothing_seen(direction, t)._replace(values=values)
 
     def _slips(
         self,
@@ -245,14 +251,15 @@ class ModeRates(eqx.Module):
             return jax.tree.map(still, y), _nothing_seen(direction, t)
         law = modes.friction, direction, y, follows, turns
         scene = slipping(self.scenes.rolling, *law)
-        rates, press, pull, turn, *_ = at_contact(scene, t, y.sliding())
+        rates, press, pull, turn, _, out = at_contact(scene, t, y.sliding())
         # friction goes with the normal force if that ends at zero, else with its size
         against = -sign(press) * pull if modes.lifts else -pull
         against = against / not_zero(safe_norm(against))
         way = jnp.where(begins(direction), against, direction)
-        on = jnp.where(self.friction_ends_slips, dot(y.slip, way), endless)
+        slip = _along_surface(y.slip, out)
+        on = jnp.where(self.friction_ends_slips, dot(slip, way), endless)
         values = jnp.stack([on, press if modes.lifts else endless])
-        return of(rates), Seen(values, way, turn)
+        return of(rates), Seen(values, way, turn, out)
 
     def _flies(
         self, direction: Float[Array, "3"], t: Float[Array, ""], y: HybridState
@@ -326,7 +333,13 @@ class ModeRates(eqx.Module):
 
 def _nothing_seen(direction: Float[Array, "3"], t: Float[Array, ""]) -> Seen:
     """Of a contact that is not there."""
-    return Seen(jnp.ones(2, t.dtype), jnp.zeros_like(direction), jnp.zeros_like(t))
+    none = jnp.zeros_like(direction)
+    return Seen(jnp.ones(2, t.dtype), none, jnp.zeros_like(t), none)
+
+
+def _along_surface(slip: Float[Array, "3"], out: Float[Array, "3"]) -> Array:
+    """A slip without its part along the normal."""
+    return slip - dot(slip, out) * out
 
 
 def _beside_ends(tableau: Tableau) -> Float[Array, "2 s"]:
