@@ -11,6 +11,17 @@ from ..forced_particles import assert_native_is_diffrax, both
 
 X = jnp.array([[0.3, -0.5, 0.9], [1.7, 0.2, -1.1], [0.6, 2.3, -0.4]])
 ROWS, COLUMNS, TWICE = np.array([0, 2]), np.array([1, 2]), np.array([0, 2, 2])
+
+
+def written(x, mode):
+    """Two windows of an array's size and form, of which one begins too late."""
+    axes = jax.lax.ScatterDimensionNumbers((1, 2), (), (0, 1))
+    at = np.array([[0, 1], [2, 1]])
+    return jax.lax.scatter(
+        x, at, x[None, 1:, 1:] * jnp.array([[[2.0]], [[3.0]]]), axes, mode=mode
+    )
+
+
 FUNCTIONS = {
     "an entry": lambda x: x.at[1, 2].set(x[0, 0]),
     "a row": lambda x: x.at[-1].set(2.0 * x[0]),
@@ -37,6 +48,15 @@ FUNCTIONS = {
     "filled": lambda x: x.at[np.array([1, 9])].get(mode="fill", fill_value=4.0),
     "a triangle": lambda x: x[np.tril_indices(3)],
     "whole numbers": lambda x: jnp.arange(4).at[2].set(7).at[ROWS].add(1),
+    "of each row": lambda x: jax.vmap(lambda row, i: row[i])(x, TWICE),
+    "to each row": lambda x: jax.vmap(lambda row, i: row.at[i].add(row[0]))(x, TWICE),
+    "along an axis": lambda x: jnp.take_along_axis(x, TWICE[None], axis=0),
+    "a window half outside": lambda x: written(x, "fill"),
+    "a window moved inside": lambda x: written(x, "clip"),
+    "windows": lambda x: jax.vmap(
+        lambda i: jax.lax.dynamic_slice(x, (i, i), (2, 3)), out_axes=1
+    )(TWICE),
+    "of no axes": lambda x: x[0, 0].at[()].add(x[1, 1]),
     "one": lambda x: jnp.ones(3).at[1].max(x[0, 0])[1],
 }
 

@@ -1,13 +1,12 @@
 """Lookups and writes by indices: where these are known, numbers change places.
 
-Which go where is found by JAX itself, which does the same to the places' numbers.
+Which go where is found by NumPy, as XLA defines it: JAX would compile a program for it.
 """
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from .along_an_axis import Operation
@@ -31,9 +30,6 @@ _WRITES = {
     "scatter_max": "max",
 }
 BY_INDEX = frozenset(("gather", *_WRITES))
-# Places times numbers that are written: 8 MB of ones and zeros, in 0.03 s, and 0.4 s
-# for the first of a shape, which XLA compiles
-_MOST = 1_000_000
 
 
 def by_index(
@@ -64,33 +60,98 @@ def by_index(
             return _put(operation, known, inputs, params, dtype)
         raise NotElementwiseError(f"{name} by an index that is computed")
     at = np.array(indices.reshape(-1).tolist(), np.int64).reshape(indices.shape)
-    with jax.ensure_compile_time_eval():
-        if name == "gather":
-            return _looked_up(x, at, params, dtype)
-        if _WRITES[name] is None:
-            return _written(x, at, inputs[2], params)
-        return _combined(operation, _WRITES[name], (x, at, inputs[2]), params, dtype)
+    if name == "gather":
+        return _looked_up(x, at, params, dtype)
+    return _written(operation, _WRITES[name], (x, at, inputs[2]), params, dtype)
 
 
-def _places(x: Numbers, first: int = 0) -> np.ndarray:
-    # by NumPy, which compiles nothing
-    return np.arange(first, first + x.size).reshape(x.shape)
+class _Axes(NamedTuple):
+    """Which axes belong together: an array's, the indices', and those of a result.
+
+    A result is what is looked up or written.
+
+    Attributes:
+        window: The result's that are the array's.
+        dropped: The array's, of which one place is taken and none is left.
+        begins: The array's, at which the numbers of an index say where to begin.
+        of_array: The array's that go along with the indices', and
+        of_indices: those.
+    """
+
+    window: tuple[int, ...]
+    dropped: tuple[int, ...]
+    begins: tuple[int, ...]
+    of_array: tuple[int, ...]
+    of_indices: tuple[int, ...]
+
+
+def _places(
+    shape: tuple[int, ...],
+    at: np.ndarray,
+    result: tuple[int, ...],
+    axes: _Axes,
+    sizes: tuple[int, ...],
+    clips: bool,
+) -> np.ndarray:
+    """Of each number that is looked up or written, its place in an array; -1: none.
+
+    Args:
+        shape: Of the array.
+        at: The indices: where windows begin, along the last axis.
+        result: Its shape.
+        axes: Which axes are which.
+        sizes: Of a window.
+        clips: Whether one that is not inside of the array is moved there.
+    """
+    many = [k for k in range(len(result)) if k not in axes.window]
+    index = np.indices(result)
+    # where its window begins, of each number
+    which = tuple(index[k] for k in many)
+    begin = np.zeros((len(shape), *result), np.int64)
+    for k, axis in enumerate(axes.begins):
+        begin[axis] = at[(*which, k)]
+    for axis, k in zip(axes.of_array, axes.of_indices, strict=True):
+        begin[axis] = which[k]
+    column = (-1, *[1] * len(result))
+    last = np.subtract(shape, sizes).reshape(column)
+    if clips:
+        begin = np.clip(begin, 0, last)
+    inside = np.all((begin >= 0) & (begin <= last), axis=0)
+    gone = *axes.dropped, *axes.of_array
+    kept = [axis for axis in range(len(shape)) if axis not in gone]
+    for axis, k in zip(kept, axes.window, strict=True):
+        begin[axis] += index[k]
+    steps = np.cumprod((1, *shape[:0:-1]))[::-1] if shape else np.ones(0, int)
+    found = np.sum(begin * steps.astype(np.int64).reshape(column), axis=0)
+    return np.where(inside, found, -1)
+
+
+def _clips(params: Params) -> bool:
+    """Whether windows are moved inside: told, or promised that they are there."""
+    mode = str(params["mode"])
+    if not any(name in mode for name in ("CLIP", "FILL", "PROMISE")):
+        raise NotElementwiseError(f"indices by {mode}")
+    return "FILL" not in mode
 
 
 def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> Numbers:
-    places: Any = _places(x)
-    found = jax.lax.gather(
-        places,
-        at,
-        params["dimension_numbers"],
-        params["slice_sizes"],
-        indices_are_sorted=params["indices_are_sorted"],
-        unique_indices=params["unique_indices"],
-        mode=params["mode"],
-        fill_value=-1,
+    numbers, sizes = params["dimension_numbers"], tuple(params["slice_sizes"])
+    axes = _Axes(
+        numbers.offset_dims,
+        numbers.collapsed_slice_dims,
+        numbers.start_index_map,
+        numbers.operand_batching_dims,
+        numbers.start_indices_batching_dims,
     )
+    gone = *axes.dropped, *axes.of_array
+    window = iter(n for axis, n in enumerate(sizes) if axis not in gone)
+    many = iter(at.shape[:-1])
+    rank = len(axes.window) + at.ndim - 1
+    result = tuple(next(window if k in axes.window else many) for k in range(rank))
+    places = _places(x.shape, at, result, axes, sizes, _clips(params))
     outside = numbers_of(np.asarray(filled(dtype, params["fill_value"]), dtype))
-    return _of(x, outside, found)
+    every = np.append(x.reshape(-1), outside.reshape(-1))
+    return every[places.reshape(-1)].reshape(places.shape)
 
 
 def _chosen(
@@ -104,10 +165,9 @@ def _chosen(
     (axis,) = numbers.start_index_map
     last = x.shape[axis] - params["slice_sizes"][axis]
     options: list[Numbers] = []
-    with jax.ensure_compile_time_eval():
-        for place in range(last + 1):
-            at = np.full(indices.shape, place)
-            options.append(_looked_up(x, at, params, dtype))
+    for place in range(last + 1):
+        at = np.full(indices.shape, place)
+        options.append(_looked_up(x, at, params, dtype))
     found = options[0].copy()
     outside = filled(dtype, params["fill_value"])
     fills = "FILL" in str(params["mode"])
@@ -154,13 +214,6 @@ def _put(
     return found
 
 
-def _of(x: Numbers, others: Numbers, places: Any) -> Numbers:
-    """Numbers by their places among those of an array and others behind them."""
-    places = np.asarray(places)
-    every = np.append(x.reshape(-1), others.reshape(-1))
-    return every[places.reshape(-1)].reshape(places.shape)
-
-
 def filled(dtype: np.dtype, value: Any) -> Any:
     """What is read outside of an array: by default what is least or not a number."""
     if value is not None:
@@ -173,33 +226,30 @@ def filled(dtype: np.dtype, value: Any) -> Any:
     return dtype.type(whole.min if whole.min < 0 else whole.max)
 
 
-def _how(params: Params) -> dict[str, Any]:
-    names = "dimension_numbers", "indices_are_sorted", "unique_indices", "mode"
-    return {name: params[name] for name in names}
-
-
-def _written(x: Numbers, at: np.ndarray, update: Numbers, params: Params) -> Numbers:
-    given: Any = _places(x), at, _places(update, x.size)
-    found = jax.lax.scatter(*given, **_how(params))
-    return _of(x, update, found)
-
-
-def _combined(
+def _written(
     operation: Operation,
-    name: Any,
+    name: str | None,
     inputs: tuple[Numbers, np.ndarray, Numbers],
     params: Params,
     dtype: np.dtype,
 ) -> Numbers:
+    """What a write leaves; None for a name: of what was there nothing."""
     x, at, update = inputs
-    if x.size * update.size > _MOST:
-        raise NotElementwiseError("writing many numbers to many places")
-    rest: Any = np.zeros(x.shape, int)
-    each = np.eye(update.size, dtype=int).reshape(update.size, *update.shape)
-    one: Callable[[Any], Any]
-    one = lambda own: jax.lax.scatter_add(rest, at, own, **_how(params))
-    hits = np.asarray(jax.vmap(one)(each)).reshape(update.size, x.size)
-    found, new = np.array(x, object).reshape(-1), update.reshape(-1)
-    for k, place in np.argwhere(hits):
-        found[place] = operation(name, {}, [found[place], new[k]], dtype)
+    numbers = params["dimension_numbers"]
+    axes = _Axes(
+        numbers.update_window_dims,
+        numbers.inserted_window_dims,
+        numbers.scatter_dims_to_operand_dims,
+        numbers.operand_batching_dims,
+        numbers.scatter_indices_batching_dims,
+    )
+    gone = *axes.dropped, *axes.of_array
+    window = iter(update.shape[k] for k in axes.window)
+    sizes = tuple(1 if axis in gone else next(window) for axis in range(x.ndim))
+    places = _places(x.shape, at, update.shape, axes, sizes, _clips(params))
+    found = np.array(x, object).reshape(-1)
+    for place, new in zip(places.reshape(-1), update.reshape(-1), strict=True):
+        if place >= 0:
+            both = [found[place], new]
+            found[place] = new if name is None else operation(name, {}, both, dtype)
     return found.reshape(x.shape)

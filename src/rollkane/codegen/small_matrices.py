@@ -24,12 +24,13 @@ _MOST_ROWS, _MOST_SORTED = 8, 12
 
 def arithmetic_of(equation: Equation) -> Callable[..., Any] | None:
     """The function that an equation is, by its parameters; None: none that is here."""
-    name, function = equation.primitive.name, _FUNCTIONS.get(equation.primitive.name)
-    shapes = [v.aval.shape for v in equation.invars]
-    if name == "custom_linear_solve":
-        return _linear_solve(equation.params, shapes)
-    if function is None or name in _ALONE:
+    name = equation.primitive.name
+    function = _FUNCTIONS.get(name)
+    if name in _ALONE or (function is None and name != "custom_linear_solve"):
         return function
+    shapes = [v.aval.shape for v in equation.invars]
+    if function is None:
+        return _linear_solve(equation.params, shapes)
     if name == "sort":
         dimension: int = equation.params["dimension"]
         return function if shapes[0][dimension] <= _MOST_SORTED else None
