@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from rollkane.identification.directions import not_seen, spectrum, waiting
-from rollkane.identification.least_squares import LOSSES, Evaluation, minimize
+from rollkane.identification.least_squares import Evaluation, minimize
+from rollkane.identification.losses import LOSSES
 from rollkane.identification.uncertainty import coordinate_covariance
 
 SIZE = np.array([1.0, 0.04])

@@ -17,7 +17,7 @@ import rollkane as rk
 from rollkane.cli import fit_command, main
 from rollkane.cli.json_text import json_text
 from rollkane.files.scene_files import load_scene
-from rollkane.identification import fitting, inertia_transforms, least_squares
+from rollkane.identification import fitting, inertia_transforms, losses
 
 SIGMA = 0.05  # rad/s, some hundredth of the rates
 FREE = ("--free", "body.inertia", "--free", "body.mass")
@@ -290,7 +290,7 @@ def test_parameters_with_all_that_is_said_of_them():
 
 def test_choices_are_those_of_fit():
     assert fit_command.STRATEGIES == fitting.STRATEGIES
-    assert tuple(least_squares.LOSSES) == fit_command.LOSSES
+    assert tuple(losses.LOSSES) == fit_command.LOSSES
     assert inertia_transforms.FORMS == fit_command.FORMS
     told = click.testing.CliRunner().invoke(main, ["fit", "--help"]).output
     assert ", ".join(fit_command.FORMS) in " ".join(told.split())

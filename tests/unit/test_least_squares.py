@@ -7,14 +7,8 @@ import pytest
 import scipy.optimize
 
 import rollkane as rk
-from rollkane.identification.least_squares import (
-    LOSSES,
-    Bend,
-    Evaluation,
-    loss_of,
-    minimize,
-    score_moments,
-)
+from rollkane.identification.least_squares import Bend, Evaluation, minimize
+from rollkane.identification.losses import LOSSES, loss_of, score_moments
 from rollkane.identification.uncertainty import coordinate_covariance
 
 from ..quick import slow_but

@@ -10,9 +10,10 @@ import numpy as np
 from scipy import optimize  # pyright: ignore[reportMissingTypeStubs]
 
 from . import uncertainty
+from .directions import spectrum
 from .estimates import Estimates, standard_errors_of
 from .layout import Coordinates
-from .least_squares import loss_of, score_moments
+from .losses import loss_of
 
 _DOUBLINGS = 30  # of a pull, after which only a corner of the bounds can hold it
 _HALVINGS = 50  # of a pull: below its rounding
@@ -37,13 +38,12 @@ class LinearBox:
         z, at, of = found.z, found.at, loss_of(loss)
         self._z = z
         self.held = bool(uncertainty.active(at, self._layout, z, of).any())
-        slope = square = 1.0
-        if loss != "linear":
-            slope, square = score_moments(at.of_samples, of)
+        scale, everything = self._layout.scale, slice(None)
+        parts = spectrum(at, scale)
+        slope, square = uncertainty.row_moments(at, parts, everything, of)
         weights = at.by_kind(of.weight(at.of_samples**2), 1.0)
-        scale = self._layout.scale
-        self._rows = at.by_kind(slope / square**0.5, 1.0)[:, None] * at.jacobian * scale
-        self._misfit = at.by_kind(1.0 / square**0.5, 1.0) * weights * at.residual
+        self._rows = (slope / square**0.5)[:, None] * at.jacobian * scale
+        self._misfit = weights * at.residual / square**0.5
         self._box = tuple(
             (x - z) / scale for x in (self._layout.lower, self._layout.upper)
         )

@@ -15,7 +15,7 @@ from .evaluation import Evaluation
 from .experiments import Problem
 from .horizons import Search, Stage
 from .layout import Coordinates, Layout
-from .least_squares import loss_of
+from .losses import loss_of
 from .unseen import described
 
 

@@ -15,6 +15,8 @@ class Evaluation(NamedTuple):
         rounding: Of the derivatives by relative changes of the coordinates.
         priors: How many residuals, the last ones, are of priors: normal, whatever the
             loss of the samples.
+        channels: Which channel of which record each sample is of, counted from 0, shape
+            (N - priors,); None: all of one.
     """
 
     residual: np.ndarray
@@ -22,6 +24,7 @@ class Evaluation(NamedTuple):
     failed: int
     rounding: float = 0.0
     priors: int = 0
+    channels: np.ndarray | None = None
 
     def by_kind(self, of_samples: Any, of_priors: float) -> np.ndarray:
         """Numbers of the samples, and one for each prior behind them, shape (N,)."""

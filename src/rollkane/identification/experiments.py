@@ -16,17 +16,14 @@ from ..simulation.run_options import RunOptions
 from ..validation.codes import Code
 from .evaluation import Evaluation
 from .layout import Coordinates, Layout
+from .losses import Loss
+from .noise import found_noise, guessed_noise
 from .parameters import Free, Model, Tied
 from .records import Record
 from .residuals import Group, Residuals, grouped, linearized, within
 from .transforms import AbstractTransform
 from .uncertainty import coordinate_covariance
 
-# Least noise of a channel without sigma, before a fit has seen its misfits [its size].
-_LEAST_NOISE = 1e-3
-# Samples of a column that coordinates leave, at least, to tell its noise by: of so few
-# the variance has a deviation of twice itself (the root of 2 over them).
-_LEAST_LEFT = 0.5
 LONGER = 8.0  # times the horizon that is asked for: how far a run looks ahead
 _KEPT = 4  # points whose misfits are kept
 # Of a derivative, relative to the size of what is differentiated: sums of 1e4 steps
@@ -73,7 +70,7 @@ class Problem:
         self.parts = [self.layout.of_record(k) for k in range(len(self.records))]
         self.deviations = [
             {
-                name: np.full(c.noise_columns(), _guessed_noise(c.values))
+                name: np.full(c.noise_columns(), guessed_noise(c.values))
                 for name, c in record.channels.items()
                 if c.sigma is None
             }
@@ -88,14 +85,16 @@ class Problem:
             for record, deviations in zip(self.records, self.deviations, strict=True)
         ]
         self._known: dict[tuple[int, bytes], tuple[float, Residuals, np.ndarray]] = {}
+        sizes = [
+            np.asarray(group.time).size * channel.noise_columns()
+            for groups in self.groups
+            for group in groups
+            for channel in group.channels.values()
+        ]
+        self._channels = np.repeat(np.arange(len(sizes)), sizes)
 
-    def with_noise_of(self, z: np.ndarray) -> bool:
+    def with_noise_of(self, z: np.ndarray, loss: Loss) -> bool:
         """Take the deviations of channels without sigma from the misfits at z.
-
-        What the coordinates took out of a column's misfits is put back: the sum of its
-        squares is expected to be ``sum(1 - h)``, with h the diagonal of
-        ``J (J^T J)^-1 J^T``, priors in J. A column of which too little is left keeps
-        its deviation.
 
         Returns:
             Whether any of them changed by more than a hundredth.
@@ -103,18 +102,13 @@ class Problem:
         changed = False
         taken = self._taken(z)
         for record, per_channel in enumerate(self.channel_misfits(z)):
-            for name, misfit in per_channel.items():
-                if name in self.deviations[record]:
-                    old = self.deviations[record][name]
-                    left = np.sum(np.isfinite(misfit) - taken[record][name], axis=0)
-                    share = np.nansum(misfit**2, axis=0) / np.maximum(left, _LEAST_LEFT)
-                    new = np.where(left > _LEAST_LEFT, old * np.sqrt(share), old)
-                    # a record without noise: not below the runs' own accuracy, 1e-9
-                    new = np.maximum(
-                        new, 1e-9 * _size(self.records[record].channels[name].values)
-                    )
-                    changed |= bool(np.any(np.abs(new / old - 1.0) > 0.01))
-                    self.deviations[record][name] = new
+            known = self.deviations[record]
+            for name in known.keys() & per_channel.keys():
+                values = self.records[record].channels[name].values
+                rows = per_channel[name], taken[record][name]
+                new = found_noise(known[name], *rows, values, loss)
+                changed |= bool(np.any(np.abs(new / known[name] - 1.0) > 0.01))
+                known[name] = new
         if changed:
             self._group()
         return changed
@@ -151,7 +145,8 @@ class Problem:
         if self.progress is not None:
             self.progress(self.rollouts, float(residual @ residual))
         count = sum(own.size for own, _, _ in priors)
-        return Evaluation(residual, jacobian, failed, self.rounding, count)
+        known = failed, self.rounding, count, self._channels
+        return Evaluation(residual, jacobian, *known)
 
     def _with_prior(self) -> list[Coordinates]:
         return [e for e in self.layout.entries if e.free.prior is not None]
@@ -348,24 +343,6 @@ def _split(whole: np.ndarray, groups: tuple[Group, ...]) -> dict[str, np.ndarray
             found[name] = whole[first : first + shape[0] * shape[1]].reshape(shape)
             first += shape[0] * shape[1]
     return found
-
-
-def _guessed_noise(values: Array) -> float:
-    """Of samples, by their fourth differences, to which smooth motion gives little.
-
-    Those of white noise have 70 times its variance (1 + 16 + 36 + 16 + 1).
-    """
-    least = _LEAST_NOISE * _size(values)
-    wild = np.diff(np.asarray(values), n=4, axis=0)
-    if not np.isfinite(wild).any():
-        return 10.0 * least
-    return max(least, float(np.sqrt(np.nanmean(wild**2) / 70.0)))
-
-
-def _size(values: Array) -> float:
-    """Root of the mean square of samples; 1 where all are zero."""
-    size = float(np.sqrt(np.nanmean(np.asarray(values) ** 2)))
-    return size if size > 0.0 else 1.0
 
 
 @for_one_call

@@ -16,14 +16,14 @@ from .evaluation import Evaluation
 from .experiments import Problem
 from .fit_result import Fit
 from .horizons import Search, followed, progressive, single
-from .least_squares import Loss, loss_of
+from .losses import Loss, loss_of
 from .parameters import Free, Tied
 from .records import Record
 from .residuals import Group, with_delay_bounds
 from .unit_hints import hint_of_units
 
 STRATEGIES = ("auto", "single", "progressive")
-_NOISE_ROUNDS = 4  # deviations that are estimated settle within
+_NOISE_ROUNDS = 10  # deviations that are estimated settle within, with outliers, too
 
 
 def fit(
@@ -59,6 +59,8 @@ def fit(
         modes: How the contact may change in the runs.
         loss: Of misfits: ``"linear"`` (least squares), ``"huber"``, ``"soft_l1"`` or
             ``"cauchy"``, which weigh outliers less; priors are normal in all of them.
+            These three bend at a channel's ``sigma``, and without one at Huber's scale
+            (proposal 2), which outliers hardly move.
         strategy: ``"single"``: over whole records at once. ``"progressive"``: over
             growing horizons, for motions whose neighbours part. ``"auto"``: single
             where the guess follows the records to their end, else progressive.
@@ -104,7 +106,7 @@ def fit(
     best = min(searches, key=lambda s: s.minimum.cost)
     if any(problem.deviations):
         for _ in range(_NOISE_ROUNDS):
-            if not problem.with_noise_of(best.minimum.z):
+            if not problem.with_noise_of(best.minimum.z, known):
                 break
             again = single(problem, best.minimum.z, known, most, first)
             best = _continued(best, again)

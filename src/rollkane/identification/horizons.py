@@ -12,7 +12,8 @@ import numpy as np
 
 from .evaluation import Evaluation
 from .experiments import LONGER, Problem
-from .least_squares import FIRST_DAMPING, Loss, Minimum, minimize
+from .least_squares import FIRST_DAMPING, Minimum, minimize
+from .losses import Loss
 
 # A prediction follows a record as long as its misfit is below this share of the
 # record's own variation (both as root mean squares up to there): an oscillation that is
@@ -195,7 +196,8 @@ def _weakly_held(
         at = problem.evaluate(z, horizon)
         residual = np.concatenate([at.residual, (z - z0) / scale])
         jacobian = np.concatenate([at.jacobian, np.diag(1.0 / scale)])
-        return Evaluation(residual, jacobian, at.failed, priors=at.priors + z.size)
+        whole = at._replace(residual=residual, jacobian=jacobian, rounding=0.0)
+        return whole._replace(priors=at.priors + z.size)
 
     return evaluate
 

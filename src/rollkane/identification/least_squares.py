@@ -17,13 +17,13 @@ by along the last step is known without another run; a second-order correction b
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from ..validation.checks import FieldError
 from .directions import not_seen, waiting, without
 from .evaluation import Evaluation
+from .losses import LOSSES, Loss
 
 # Least fall of twice the cost that is waited for: chi-square changes by 1 within one
 # standard deviation, so that 1e-6 of it is 1e-3 of a standard deviation.
@@ -39,12 +39,6 @@ _MOST_BENT = 0.75
 # How near to a bound a last step may begin that ends on it, relative to the
 # coordinates' sizes: by a step without a promise, what is hardly seen goes no further.
 _BESIDE = 1e-3
-
-
-_LEAST_SCORE = 1e-6  # of a mean slope, beside 1 of least squares
-
-# Of squared misfits, element by element.
-_OfSquares: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class Minimum(NamedTuple):
@@ -67,69 +61,6 @@ class Minimum(NamedTuple):
     converged: bool
     path: np.ndarray
     damping: float
-
-
-class Loss(NamedTuple):
-    """A loss rho(s) of s = r^2, and its first derivative.
-
-    Attributes:
-        value: rho(s), with rho(s) = s for small s.
-        weight: rho'(s).
-    """
-
-    value: _OfSquares
-    weight: _OfSquares
-
-
-_same: _OfSquares = lambda s: s
-_huber: _OfSquares = lambda s: np.where(
-    s <= 1.0, s, 2.0 * np.sqrt(np.maximum(s, 1.0)) - 1.0
-)
-_huber_weight: _OfSquares = lambda s: 1.0 / np.sqrt(np.maximum(s, 1.0))
-_soft: _OfSquares = lambda s: 2.0 * (np.sqrt(1.0 + s) - 1.0)
-_soft_weight: _OfSquares = lambda s: 1.0 / np.sqrt(1.0 + s)
-_cauchy_weight: _OfSquares = lambda s: 1.0 / (1.0 + s)
-LOSSES = {
-    "linear": Loss(_same, np.ones_like),
-    "huber": Loss(_huber, _huber_weight),
-    "soft_l1": Loss(_soft, _soft_weight),
-    "cauchy": Loss(np.log1p, _cauchy_weight),
-}
-
-
-def loss_of(name: str) -> Loss:
-    """A loss by its name.
-
-    Raises:
-        FieldError: an unknown one.
-    """
-    if name not in LOSSES:
-        remedy = f"use one of {tuple(LOSSES)}"
-        raise FieldError("fit.loss", name, "is not known", remedy)
-    return LOSSES[name]
-
-
-def score_moments(residual: np.ndarray, loss: Loss) -> tuple[float, float]:
-    """Means of psi' and of psi^2 over the samples, with psi(r) = r rho'(r^2).
-
-    Huber's: the loss changes the variance of the estimates by the second over the
-    square of the first.
-
-    Args:
-        residual: Over their deviations, shape (N,); zeros are no samples.
-        loss: Of their squares.
-    """
-    known = residual[residual != 0.0]
-    if not known.size:
-        return 1.0, 1.0
-
-    def psi(r: np.ndarray) -> np.ndarray:
-        return r * loss.weight(r * r)
-
-    step = 1e-4  # by differences: 1e-8 of the slope of numbers of about one
-    slope = float(np.mean(psi(known + step) - psi(known - step))) / (2.0 * step)
-    # a loss that falls off over most samples tells next to nothing by them
-    return max(slope, _LEAST_SCORE), float(np.mean(psi(known) ** 2))
 
 
 def minimize(

@@ -6,7 +6,7 @@ import numpy as np
 
 from . import uncertainty
 from .estimates import Estimates
-from .least_squares import loss_of
+from .losses import loss_of
 from .unseen import REMEDY
 
 _STRONG = 0.95  # correlations that are told

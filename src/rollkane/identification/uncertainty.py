@@ -9,9 +9,8 @@ from scipy import linalg  # pyright: ignore[reportMissingTypeStubs]
 from .directions import Spectrum, not_seen, spectrum
 from .evaluation import Evaluation
 from .layout import Layout
-from .least_squares import LOSSES, Loss, score_moments
+from .losses import SQUARES, Loss, score_moments
 
-_SQUARES = LOSSES["linear"]
 _MOVES = 1e-6  # of a number's largest slope: directions are known to 1e-7, as UNSEEN
 
 
@@ -19,7 +18,7 @@ def coordinate_covariance(
     at: Evaluation,
     layout: Layout,
     z: np.ndarray,
-    loss: Loss = _SQUARES,
+    loss: Loss = SQUARES,
     *,
     bounded: bool = True,
 ) -> np.ndarray:
@@ -29,27 +28,52 @@ def coordinate_covariance(
     bounds are left out.
 
     Of another loss, with J of the samples, Q of the priors, and s and v the means of
-    psi' and psi^2 over the samples: estimates obey ``J^T psi + Q^T q = 0``. To first
-    order this changes by ``A = s J^T J + Q^T Q`` times the coordinates, and it varies
-    by ``B = v J^T J + Q^T Q``, as a prior has its own deviation: ``A^-1 B A^-1``.
-    Without priors that is ``(v / s^2) (J^T J)^-1``, and of priors alone
-    ``(Q^T Q)^-1``.
+    psi' and psi^2 over a channel's samples: estimates obey ``J^T psi + Q^T q = 0``. To
+    first order this changes by ``A = J^T s J + Q^T Q`` times the coordinates, and it
+    varies by ``B = J^T v J + Q^T Q``, as a prior has its own deviation: the covariance
+    is ``A^-1 B A^-1``; of one channel without priors ``(v / s^2) (J^T J)^-1``, and of
+    priors alone ``(Q^T Q)^-1``.
     """
-    slope = square = 1.0  # of least squares, whose deviations are as they are told
-    if loss is not _SQUARES:
-        slope, square = score_moments(at.of_samples, loss)
     inside = ~(active(at, layout, z, loss) & bounded)
     found = np.zeros((z.size, z.size))
     parts = spectrum(at, layout.scale, inside)
     if not parts.seen.any():
         return found
-    # A over s: rows of samples as they are
-    rows = at.by_kind(1.0, slope**-0.5)[:, None] * at.jacobian[:, inside]
-    varies = at.by_kind(square / slope**2, 1.0 / slope)
+    slope, square = row_moments(at, parts, inside, loss)
+    rows = np.sqrt(slope)[:, None] * at.jacobian[:, inside]
+    varies = square / slope
     root, along = _root_of_inverse(rows, parts)
     middle = along.T @ (varies[:, None] * along)
     found[np.ix_(inside, inside)] = root @ middle @ root.T
     return found
+
+
+def row_moments(
+    at: Evaluation, parts: Spectrum, inside: np.ndarray | slice, loss: Loss
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means of psi' and of psi^2 of each row's channel, shape (N,); 1 of priors.
+
+    Channels have their own, as one may have outliers and another none; of squares all
+    are 1, as deviations are as they are told.
+
+    Args:
+        at: Misfits and their derivatives.
+        parts: Spectrum of the coordinates inside.
+        inside: Which coordinates no bound holds.
+        loss: Of the samples.
+    """
+    slope, square = np.ones(at.residual.size), np.ones(at.residual.size)
+    if loss is SQUARES or not parts.seen.any():
+        return slope, square
+    _, along = _root_of_inverse(at.jacobian[:, inside], parts)
+    taken = np.sum(along**2, axis=1)
+    everything = np.zeros(at.of_samples.size, int)
+    channels = everything if at.channels is None else at.channels
+    for one in np.unique(channels):
+        own = np.flatnonzero(channels == one)
+        known = at.of_samples[own], loss, float(np.sum(taken[own]))
+        slope[own], square[own] = score_moments(*known)
+    return slope, square
 
 
 def _root_of_inverse(
@@ -78,7 +102,7 @@ def _root_of_inverse(
 
 
 def active(
-    at: Evaluation, layout: Layout, z: np.ndarray, loss: Loss = _SQUARES
+    at: Evaluation, layout: Layout, z: np.ndarray, loss: Loss = SQUARES
 ) -> np.ndarray:
     """Coordinates that only their bound keeps from going on, shape (P,)."""
     weights = at.by_kind(loss.weight(at.of_samples**2), 1.0)
