@@ -84,6 +84,11 @@ class _Axes(NamedTuple):
     of_array: tuple[int, ...]
     of_indices: tuple[int, ...]
 
+    @property
+    def gone(self) -> tuple[int, ...]:
+        """The array's that a window has not."""
+        return *self.dropped, *self.of_array
+
 
 def _places(
     shape: tuple[int, ...],
@@ -117,8 +122,7 @@ def _places(
     if clips:
         begin = np.clip(begin, 0, last)
     inside = np.all((begin >= 0) & (begin <= last), axis=0)
-    gone = *axes.dropped, *axes.of_array
-    kept = [axis for axis in range(len(shape)) if axis not in gone]
+    kept = [axis for axis in range(len(shape)) if axis not in axes.gone]
     for axis, k in zip(kept, axes.window, strict=True):
         begin[axis] += index[k]
     steps = np.cumprod((1, *shape[:0:-1]))[::-1] if shape else np.ones(0, int)
@@ -143,8 +147,7 @@ def _looked_up(x: Numbers, at: np.ndarray, params: Params, dtype: np.dtype) -> N
         numbers.operand_batching_dims,
         numbers.start_indices_batching_dims,
     )
-    gone = *axes.dropped, *axes.of_array
-    window = iter(n for axis, n in enumerate(sizes) if axis not in gone)
+    window = iter(n for axis, n in enumerate(sizes) if axis not in axes.gone)
     many = iter(at.shape[:-1])
     rank = len(axes.window) + at.ndim - 1
     result = tuple(next(window if k in axes.window else many) for k in range(rank))
@@ -243,9 +246,8 @@ def _written(
         numbers.operand_batching_dims,
         numbers.scatter_indices_batching_dims,
     )
-    gone = *axes.dropped, *axes.of_array
     window = iter(update.shape[k] for k in axes.window)
-    sizes = tuple(1 if axis in gone else next(window) for axis in range(x.ndim))
+    sizes = tuple(1 if axis in axes.gone else next(window) for axis in range(x.ndim))
     places = _places(x.shape, at, update.shape, axes, sizes, _clips(params))
     found = np.array(x, object).reshape(-1)
     for place, new in zip(places.reshape(-1), update.reshape(-1), strict=True):
