@@ -492,7 +492,26 @@ def test_rest_in_a_spinning_bowl_and_the_branches_that_leave_it():
         np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+def test_two_equal_eigenvalues_that_pass_zero_together():
+    """In a damped spinning bowl of revolution, at Omega^2 = g k / (1 - k a)."""
+    bowl = rk.Graph(lambda x, y: 0.5 * (x**2 + y**2))
+    ball = rk.Body(1.0, 0.4 * 0.01 * np.eye(3), rk.Sphere(0.1))
+    loads = rk.Gravity(), rk.RollingResistance(viscous=0.005)
+    scene = rk.Scene(ball, rk.Base(bowl, rk.Spin(2.0)), loads=loads)
+    start = rk.place(scene, UPRIGHT, (0.0, 0.0, 2.0), ORIGIN)
+    motion = rk.steady_motion(scene, start, ("spin about z",))
+    branch = rk.steady_family(scene, motion, "base.motion.rate", (2.0, 4.0), points=15)
+    (critical,) = branch.critical
+    # of two that are one no square root of rounding is left: as a determinant's root
+    np.testing.assert_allclose(critical.value, np.sqrt(G / 0.9), rtol=1e-12)
+    assert critical.kind == "zero crossing"
+    # the place's 3e-12 rad/s, times a slope of order one
+    assert abs(critical.eigenvalue) < 1e-11
+    np.testing.assert_array_equal(branch.stable, branch.values < critical.value)
+    with pytest.raises(rk.FieldError, match="several eigenvalues pass zero together"):
+        rk.switch_branch(branch, critical)
+
+
 def uneven_bowl(x, y, p):
     far = x**2 + y**2
     return 0.5 * (x**2 + 1.5 * y**2) + 0.3 * far**2 + p["e"] * x

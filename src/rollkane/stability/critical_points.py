@@ -58,6 +58,7 @@ def critical_on(way: Way[P], segment: Segment[P]) -> list[Passing[P]] | None:
         if point is not None:
             worse = first if first.unstable > last.unstable else last
             lead = _nearest(point, 1j * complex(worse.exponents[0]).imag)
+            kind = "zero crossing" if kind == "Hopf" and _is_one(point, lead) else kind
             found.append(Passing(kind, point, lead))
     return found
 
@@ -77,6 +78,15 @@ def _nearest(point: Followed, value: complex) -> complex:
     if not values.size:
         return 0j
     return complex(values[np.argmin(np.abs(values - value))])
+
+
+def _is_one(point: Followed, lead: complex) -> bool:
+    """Whether what grows from a point is where single ones pass, and no pair's.
+
+    Two that are equal pass there together, as what is symmetric in two directions has.
+    """
+    turns = min(abs(abs(lead.imag) - place.imag) for place, _ in point.determinants)
+    return turns <= float(point.errors[np.argmin(np.abs(point.exponents - lead))])
 
 
 def _passes(first: float, last: float) -> bool:
@@ -156,6 +166,5 @@ def bisected(way: Way[P], segment: Segment[P]) -> list[Passing[P]]:
         ends[0 if same else 1] = middle, point
     grown = max((point for _, point in ends), key=lambda point: point.unstable)
     lead = complex(grown.exponents[0])
-    turns = min(abs(abs(lead.imag) - place.imag) for place, _ in grown.determinants)
-    single = turns <= float(grown.errors[0])
-    return [Passing("zero crossing" if single else "Hopf", grown, lead)]
+    kind = "zero crossing" if _is_one(grown, lead) else "Hopf"
+    return [Passing(kind, grown, lead)]

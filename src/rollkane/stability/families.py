@@ -50,8 +50,9 @@ def steady_family(
 
     By pseudo-arclength continuation both ways, round folds, to the ends of the span,
     or as far as ``Branch.ends`` says. Two equal eigenvalues that pass zero together, as
-    where body and base are surfaces of revolution, are no simple crossing and are not
-    located: ``BranchPoint.eigenvalues`` come near to zero there.
+    where body and base are surfaces of revolution, are located where stability changes
+    with them; without damping it may not, and ``BranchPoint.eigenvalues`` come near to
+    zero there.
 
     Args:
         scene: As for ``steady_motion``, of which ``motion`` is.
@@ -108,7 +109,8 @@ def switch_branch(
         max_points: Most points each way [1].
 
     Raises:
-        FieldError: no other branch leaves there; what is no branch, or not critical.
+        FieldError: no other branch leaves there, or several, as where two equal
+            eigenvalues pass zero; what is no branch, or not critical.
     """
     if not isinstance(cast(object, branch), Branch):
         remedy = "give what steady_family returns"
@@ -118,8 +120,9 @@ def switch_branch(
         raise FieldError("switch_branch.critical", critical, "is no Critical", remedy)
     points, most = _counts("switch_branch", points, max_points)
     asked, here = branch.asked, critical.point
-    if nullity(asked, here.solution, _NEAR) < 2:
-        _refuse_switch(critical)
+    ways = nullity(asked, here.solution, _NEAR)
+    if ways != 2:
+        _refuse_switch(critical, together=ways > 2)
     both = tangents(asked, here.solution, 2)
     known = here.tangent
     other = both - np.outer(both @ known, known)
@@ -147,11 +150,15 @@ def switch_branch(
     return _both_ways(plan, first, last, [_turned(last), here, first])
 
 
-def _refuse_switch(critical: Critical) -> NoReturn:
-    remedy = "switch at a zero crossing where what is varied does not turn"
-    raise FieldError(
-        "switch_branch.critical", critical.kind, "has no other branch", remedy
+def _refuse_switch(critical: Critical, together: bool = False) -> NoReturn:
+    why, remedy = (
+        "has no other branch",
+        "switch at a zero crossing where what is varied does not turn",
     )
+    if together:
+        why = "is where several eigenvalues pass zero together"
+        remedy = "look for a motion beside it with steady_motion, and follow that one"
+    raise FieldError("switch_branch.critical", critical.kind, why, remedy)
 
 
 def _counts(field: str, points: Any, max_points: Any) -> tuple[int, int]:
