@@ -1,5 +1,6 @@
 """Derivatives of runs that end early: exact where used, NaN of what was not reached."""
 
+import diffrax as dfx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -101,3 +102,31 @@ def test_likelihoods_of_runs_that_end_early(channel):
     # one rule and its transpose along the same steps: roundings
     np.testing.assert_allclose(back, ahead, rtol=1e-10)
     assert np.isfinite(back)
+
+
+def test_a_run_with_modes_is_followed_for_as_many_steps_as_are_asked_for():
+    """A leaning hoop, by a method of so low an order that it takes 21,000 steps."""
+    hoop = rk.Scene(rk.Body(1.0, 0.09 * np.diag([0.5, 0.5, 1.0]), rk.DiscEdge(0.3)))
+    leaning = (np.cos(0.6), np.sin(0.6), 0.0, 0.0)
+
+    def spin_and_code(spin, **how):
+        omega = jnp.stack([0.0 * spin, spin, 0.3 + 0.0 * spin])
+        start = rk.place(hoop, leaning, omega, ORIGIN)
+        modes = rk.Modes(friction=0.9)
+        run = rk.simulate(hoop, start, np.array([0.0, 6.0]), modes=modes, **how)
+        return run.final_state.parts.angular_velocity[1], (run.code, run.steps)
+
+    def slope(**how):
+        there = jax.value_and_grad(lambda x: spin_and_code(x, **how), has_aux=True)
+        (_, (code, steps)), found = there(5.0)
+        return int(code), int(steps), found
+
+    many = {"rtol": 1e-10, "solver": dfx.Bosh3()}
+    code, _, found = slope(**many)
+    assert code == rk.Code.MAX_STEPS
+    assert np.isnan(found)
+    code, steps, found = slope(**many, max_steps=30_000)
+    assert code == rk.Code.COMPLETED
+    assert steps > 2**14
+    # as many errors of a step, each of rtol
+    np.testing.assert_allclose(found, slope(rtol=1e-10)[2], rtol=steps * 1e-10)

@@ -36,7 +36,7 @@ from ..validation.checks import FieldError, cleared
 from ..validation.codes import NO_FAULT, Code, first_fault
 from .mode_adjoint import Cotangents, pulled_back
 from .mode_lanes import one_or_many
-from .mode_loop import Loop
+from .mode_loop import Loop, most_steps
 from .mode_replay import Record
 from .mode_tangents import Make, pushed_on
 from .modes import HybridScene, HybridState, Mode, of
@@ -82,7 +82,7 @@ def integrate_modes(
     atol: Float[Array, ""],
     by_size: Bool[Array, ""],
     solver: dfx.AbstractSolver[Any],
-    max_steps: int,
+    max_steps: int | None,
     corners: _Corners,
     allowed: Allowed | None = None,
     zeros: tuple[bytes, ...] | None = None,
@@ -99,7 +99,7 @@ def integrate_modes(
         atol: Absolute tolerance of a step [unit of the state].
         by_size: Whether that is in units of the state's sizes.
         solver: diffrax solver, an explicit Runge-Kutta method.
-        max_steps: Most tried steps.
+        max_steps: Most tried steps, or None.
         corners: ``corners(scene)`` -> times at which the rates have a corner [s], or
             None, and how many numbers steps stay away from them.
         allowed: ``allowed(scene, t, state)`` -> whether a step may end there; None:
@@ -185,7 +185,7 @@ class _Runs(NamedTuple):
 
     mode: int
     solver: dfx.AbstractSolver[Any]
-    max_steps: int
+    max_steps: int | None
     corners: _Corners
     allowed: Allowed | None
     zeros: tuple[bytes, ...] | None
@@ -277,7 +277,8 @@ class _Runs(NamedTuple):
         """
         del replay
         if self.native and adjoint is None:
-            run = one_or_many(self, inputs, self.max_steps)
+            most = most_steps(self.max_steps, recording=False)
+            run = one_or_many(self, inputs, most)
             return cast(HybridOutcome, run), None
         call = in_one_program if self.native else _called
         return call(self.stepped, inputs, adjoint is not None)

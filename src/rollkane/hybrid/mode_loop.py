@@ -18,6 +18,7 @@ from ..dynamics.nearest_on_face import faces, has_face
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
 from ..integration.longest_step import LEAST_STEPS
+from ..integration.plans import UNRECORDED_STEPS
 from ..integration.step_control import first_step
 from ..kinematics.coordinates import pack
 from ..validation.codes import Code
@@ -36,7 +37,7 @@ from .user_events import (
     with_places,
 )
 
-# Accepted steps that a derivative can follow: about 0.3 kB each.
+# Steps that a derivative can follow where none are asked for: about 0.3 kB each.
 RECORDED_STEPS = 2**14
 
 
@@ -247,13 +248,16 @@ class Loop(Trials):
         return jnp.where(mode == Mode.FLYING, Code.INCONSISTENT_IMPACT, code)
 
     def run(
-        self, mode: Int[Array, ""], y: HybridState, max_steps: int, recording: bool
+        self,
+        mode: Int[Array, ""],
+        y: HybridState,
+        max_steps: int | None,
+        recording: bool,
     ) -> Run:
         """From the start to the last time, or to where it cannot go on."""
-        begun = self.begun(mode, y, RECORDED_STEPS if recording else 0)
-        if recording:
-            max_steps = min(max_steps, RECORDED_STEPS)
-        going: Callable[[Run], Array] = lambda c: self.going(c, max_steps)
+        most = most_steps(max_steps, recording)
+        begun = self.begun(mode, y, most if recording else 0)
+        going: Callable[[Run], Array] = lambda c: self.going(c, most)
         return jax.lax.while_loop(going, lambda c: self.step(c), begun)
 
     def going(self, c: Run, max_steps: int) -> Bool[Array, ""]:
@@ -301,6 +305,13 @@ class Loop(Trials):
             code=whole,
             watched=watched,
         )
+
+
+def most_steps(asked: int | None, recording: bool) -> int:
+    """Steps that may be tried, and are recorded."""
+    if asked is not None:
+        return asked
+    return RECORDED_STEPS if recording else UNRECORDED_STEPS
 
 
 def last_at(times: Float[Array, " T"], index: Int[Array, ""]) -> Array:

@@ -87,18 +87,20 @@ def simulate(
         coordinates: ``"pole-free"`` or ``"voronets"``: those of the paper, which end
             at the edges of the surfaces' charts.
         modes: How the run may change between rolling, slipping and flight; None: the
-            scene's contact law holds throughout. With it derivatives can follow 16384
-            steps; ``solver`` is an explicit Runge-Kutta method; time runs forwards;
-            ``formulation``, ``coordinates``, ``stepsize_controller``, ``adjoint``,
-            ``saveat``, ``dt0`` and ``progress_meter`` cannot be chosen.
+            scene's contact law holds throughout. With it ``solver`` is an explicit
+            Runge-Kutta method; time runs forwards; ``formulation``, ``coordinates``,
+            ``stepsize_controller``, ``adjoint``, ``saveat``, ``dt0`` and
+            ``progress_meter`` cannot be chosen.
         solver: diffrax solver; by default Dopri8 below rtol 1e-6, else Tsit5.
         stepsize_controller: diffrax controller; replaces ``rtol`` and ``atol``.
         adjoint: diffrax adjoint; replaces the derivative along recorded steps.
         saveat: diffrax ``SaveAt``; replaces ``times``, of which only the first and
             last are then used.
         dt0: First step [s]; chosen by the solver by default.
-        max_steps: Most steps taken; by default 4194304, of which derivatives can
-            follow 65536 (and are NaN beyond, never quietly wrong).
+        max_steps: Most steps taken; by default 4194304, and 65536, with ``modes``
+            16384, of what is differentiated (of more it is NaN, never quietly wrong).
+            As many as are given have room in its record: each takes 13 bytes, with
+            ``modes`` 0.3 kB.
         progress_meter: diffrax progress meter.
         method: ``"native"``: the compiled loop in C of :func:`rollkane.ensemble`, on
             a CPU: diffrax's steps in a tenth of the time and half of the wait for the

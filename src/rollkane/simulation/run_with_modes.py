@@ -25,7 +25,6 @@ from ..integration.integrate import (
     tolerances,
     warn_single_precision,
 )
-from ..integration.plans import UNRECORDED_STEPS
 from ..integration.prepared import Prepared, scalar
 from ..integration.step_control import Stops, stops_of
 from ..kinematics.coordinates import State
@@ -88,7 +87,7 @@ def ready_with_modes(
     watched = events_in_modes(events, stop, changing, times[0], start)
     plan = _Plan(
         default_solver(rtol) if solver is None else solver,
-        UNRECORDED_STEPS if max_steps is None else max_steps,
+        max_steps,
         looks,
         None,
     )
@@ -104,13 +103,13 @@ class _Plan(NamedTuple):
 
     Attributes:
         solver: diffrax solver, an explicit Runge-Kutta method.
-        max_steps: Most tried steps.
+        max_steps: Most tried steps, or None.
         looks: Whether second contacts are looked for.
         zeros: For the loop in C, which numbers of the scene are zero; None: by XLA.
     """
 
     solver: dfx.AbstractSolver[Any]
-    max_steps: int
+    max_steps: int | None
     looks: bool
     zeros: tuple[bytes, ...] | None
 
