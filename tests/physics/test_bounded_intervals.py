@@ -26,9 +26,10 @@ def _samples(below):
     return SIGMA * SLOPES @ (wanted - free) + noise
 
 
-def _fit(samples, loss="linear"):
+def _fit(samples, loss="linear", speed=None):
     scene = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(RADIUS)))
-    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), (0.0, 0.8, 0.0), (1.02, 0.0, 0.0))
+    turn = (0.0, 0.8 if speed is None else speed[0] + 0.1, 0.0)
+    start = rk.place(scene, (1.0, 0.0, 0.0, 0.0), turn, (1.02, 0.0, 0.0))
     place = rk.Observed(
         lambda scene, t, state: rk.contact_of(scene, t, state).position[:1],
         jnp.asarray(samples)[:, None],
@@ -36,7 +37,7 @@ def _fit(samples, loss="linear"):
     )
     free = [
         rk.Free("start.contact_on_base[0]", bounds=(LEAST, None)),
-        rk.Free("start.angular_velocity[1]"),
+        rk.Free("start.angular_velocity[1]", bounds=speed),
     ]
     return rk.fit(scene, start, rk.Record(TIMES, {"place": place}), free, loss=loss)
 
@@ -120,3 +121,47 @@ def test_draws_of_a_number_with_a_bound_are_within_it(below):
     error = np.sqrt(known[1, 1])
     np.testing.assert_allclose(found, speed, rtol=0.0, atol=share * error)
     assert (np.asarray(drawn["start.contact_on_base[0]"]) >= LEAST).all()
+
+
+@pytest.mark.parametrize(
+    ("below", "up"),
+    # errors below the one's bound, and of the other's bound above its estimate
+    [(0.5, 0.5), (-1.0, -1.0), (8.0, 6.0)],
+)
+def test_draws_of_two_numbers_with_bounds_are_of_their_joint_distribution(below, up):
+    """What is left to the second counts for the first: by quadrature of its density."""
+    samples = _samples(below)
+    free = np.linalg.lstsq(SLOPES, samples / SIGMA, rcond=None)[0]
+    known = np.linalg.inv(SLOPES.T @ SLOPES)
+    errors, slope = np.sqrt(np.diag(known)), known[1, 0] / known[0, 0]
+    rest = np.sqrt(known[1, 1] - slope * known[1, 0])
+    least = free[1] + up * errors[1]
+    joint = rk.FitCovariance(_fit(samples, speed=(least, None)))
+    count = 4096
+    u = jnp.asarray(np.random.default_rng(0).random((count, 2)))
+    draw = jax.jit(jax.vmap(joint.draw))
+    drawn = {path: np.asarray(x) for path, x in draw(u).items()}
+    first = max(LEAST, free[0] - 8.0 * errors[0])
+    place = np.linspace(first, first + 16.0 * errors[0], 40001)
+    middle = free[1] + slope * (place - free[0])
+    log = stats.norm.logpdf(place, free[0], errors[0])
+    log += stats.norm.logsf(least, middle, rest)
+    density = np.exp(log - log.max())
+    cdf = lambda x: np.interp(x, place, np.cumsum(density) / density.sum())
+    x, speed = drawn["start.contact_on_base[0]"], drawn["start.angular_velocity[1]"]
+    assert (x >= LEAST).all()
+    assert (speed >= least).all()
+    assert stats.kstest(x, cdf).pvalue > 1e-3
+    # given the first, the second is normal within its bound, by itself
+    middle = free[1] + slope * (x - free[0])
+    given = stats.truncnorm((least - middle) / rest, np.inf, middle, rest).cdf(speed)
+    assert stats.kstest(given, "uniform").pvalue > 1e-3
+    # one after the other they were something else, as far as the second's bound bears
+    alone = stats.truncnorm((LEAST - free[0]) / errors[0], np.inf, free[0], errors[0])
+    assert stats.kstest(x, alone.cdf).pvalue < 1e-6
+    # the same of the same numbers, whoever draws beside them: to roundings, as programs
+    # of other shapes have others
+    again = draw(u[100:104])
+    for path, known in drawn.items():
+        np.testing.assert_allclose(again[path], known[100:104], rtol=1e-14)
+    assert "tilt" in joint.spec()

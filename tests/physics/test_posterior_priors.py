@@ -54,11 +54,11 @@ def test_volumes_of_numbers_in_their_coordinates():
 @pytest.mark.slow
 def test_what_only_priors_tell_has_their_distribution():
     """The density of logarithms let the mass run to zero."""
-    draws = rk.posterior(_fit(MASS, FACTOR), draws=1500, warmup=300)
+    draws = rk.posterior(_fit(MASS, FACTOR), draws=4000, warmup=300)
     factor = draws["body.inertia"][:, 0, 0] / INERTIA
     known = stats.truncnorm(-1.0 / SPREAD, np.inf, 1.0, SPREAD)
     for found in (draws["body.mass"], factor):
-        # of 1500 draws a third are worth independent ones, at least: four deviations
+        # of 4000 draws an eighth are worth independent ones, at least: four deviations
         error = 4.0 * known.std() / np.sqrt(500.0)
         assert abs(found.mean() - known.mean()) < error
         assert abs(found.std() - known.std()) < error

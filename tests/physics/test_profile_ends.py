@@ -5,12 +5,20 @@ k))``: of k the least chi2 by the first speed w is a closed form, and its profil
 are roots of a function of one number.
 """
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize, stats
 
 import rollkane as rk
+from rollkane.identification.evaluation import Evaluation
+from rollkane.identification.horizons import Search
+from rollkane.identification.layout import Coordinates
+from rollkane.identification.least_squares import minimize
+from rollkane.identification.profiles import profile_interval
+from rollkane.identification.transforms import Positive
 
 RADIUS, SLOPE, GRAVITY, SIGMA = 0.1, 0.3, 9.81, 0.02
 TIMES = np.linspace(0.0, 0.5, 12)
@@ -94,3 +102,28 @@ def test_a_firmly_held_number_hides_no_others(firm):
         # a parabola's ends, whose rise is right to 2e-3, are right to 1e-3
         away = np.subtract(ends, middle), np.subtract(known, middle)
         np.testing.assert_allclose(*away, rtol=1e-3)
+
+
+def test_entries_of_very_different_sizes_have_their_own_ends():
+    """Small ones are no copies of each other, as the two halves of an inertia are.
+
+    Misfits are logarithms over a deviation, and so ends are the entry times a factor.
+    """
+    size, deviation = jnp.array([1.0, 1e-10, 3e-10, 3e-10]), 0.1
+    middle = np.log(np.asarray(size))
+    evaluate = lambda z: Evaluation((z - middle) / deviation, np.eye(4) / deviation, 0)
+    edges = np.full(4, -np.inf), np.full(4, np.inf)
+    transform = Positive(size)
+    entry = Coordinates(rk.Free("one"), None, transform, slice(0, 4), *edges)
+    scale = np.ones(4)
+    layout = SimpleNamespace(entries=[entry], size=4, scale=scale, box=(*edges, scale))
+    minimum = minimize(evaluate, middle, *layout.box)
+    problem = SimpleNamespace(layout=layout, evaluate=evaluate)
+    layout.lower, layout.upper = edges
+    layout.by_path = lambda of: {"one": of(entry)}
+    found = SimpleNamespace(search=Search(minimum, [], None), problem=problem)
+    low, high = profile_interval(found, "one", 0.95)
+    # an end's rise is right to 2e-3, and its distance to 1e-3
+    factor = np.exp(stats.norm.ppf(0.975) * deviation)
+    np.testing.assert_allclose(np.log(low / size), -np.log(factor), rtol=1.1e-3)
+    np.testing.assert_allclose(np.log(high / size), np.log(factor), rtol=1.1e-3)

@@ -235,14 +235,15 @@ def test_a_posterior_is_normal_where_the_model_is_linear():
     values = np.array([[0.01, -0.02, 4.01], [0.0, 0.01, 3.98]])
     record = rk.Record(times, {"gyro": rk.Gyro(values, SIGMA)})
     fit = rk.fit(scene, start, record, rk.Free("start.angular_velocity"))
-    draws = 400
+    draws = 4000
     found = rk.posterior(fit, draws=draws, warmup=200)["start.angular_velocity"]
     # a ball's angular velocity stays: the mean of two samples, sigma / sqrt(2)
     np.testing.assert_allclose(
         fit.estimates["start.angular_velocity"], values.mean(axis=0), atol=1e-9
     )
     deviation = SIGMA / np.sqrt(2.0)
-    # 400 draws of the sampler are worth 100 independent ones at least: five deviations
+    # draws of the sampler are worth a quarter as many independent ones at least: five
+    # deviations
     away = found.mean(axis=0) - values.mean(axis=0)
     assert (np.abs(away) < 5.0 * deviation / np.sqrt(draws / 4)).all()
     spread = found.std(axis=0) / deviation

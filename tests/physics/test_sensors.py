@@ -128,6 +128,12 @@ def test_any_function(run):
     expected = np.asarray(run.state.angular_velocity) * FINE[:, None]
     # the same product
     np.testing.assert_array_equal(run.each(channel.observed), expected)
+    # one number was repeated for all columns, and fitted to each
+    one = rk.Observed(lambda scene, t, state: t, np.zeros((len(FINE), 2)))
+    for channel in (one, rk.Observed(fast, np.zeros((len(FINE), 2)))):
+        with pytest.raises(rk.FieldError, match="2 columns") as caught:
+            run.each(channel.observed)
+        assert caught.value.field == "Observed.function"
 
 
 def test_sensors_in_flight():

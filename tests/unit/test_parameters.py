@@ -578,6 +578,11 @@ BAD_FREE = {
         "Free('body.mass').prior",
         "a positive deviation",
     ),
+    "a prior of a negative mass": (  # fitted by a mass of zero
+        lambda: rk.Free("body.mass", prior=(-1.0, 0.1)),
+        "Free('body.mass').prior",
+        "only can be positive",
+    ),
     "a prior of NaN": (
         lambda: rk.Free("body.mass", prior=(np.nan, 1.0)),
         "Free('body.mass').prior",

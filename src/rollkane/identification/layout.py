@@ -13,11 +13,12 @@ from . import paths
 from .field_coordinates import bounds_of, is_clock, transform_of
 from .parameters import PLACING, Free, Model, Slot, Slots, Tied, located, number_in
 from .transform_values import TransformValues, values_at
-from .transforms import AbstractTransform
+from .transforms import AbstractTransform, Positive
 
 # How far a coordinate goes to see whether the body still touches [its size]: beyond
 # what placing overlooks, 1e-6 rad (1e-3 in single precision).
 _ASIDE = 1e-2
+_FAR = 3.0  # deviations of a prior: where it says that a number is not
 
 
 class Coordinates(NamedTuple):
@@ -102,7 +103,7 @@ class Layout:
         size = transform.start().size
         where = slice(first, first + size)
         lower, upper = bounds_of(free, model, keys, transform)
-        _check_prior(free, value)
+        _check_prior(free, value, isinstance(transform, Positive))
         entry = Coordinates(free, record, transform, where, lower, upper)
         self.entries.append(entry)
 
@@ -271,7 +272,7 @@ def known_paths(model: Model) -> list[str]:
     return parts
 
 
-def _check_prior(free: Free, value: Array) -> None:
+def _check_prior(free: Free, value: Array, positive: bool) -> None:
     if free.prior is None:
         return
     field, remedy = f"Free({free.path!r}).prior", "give (mean, standard deviation)"
@@ -285,3 +286,6 @@ def _check_prior(free: Free, value: Array) -> None:
         raise FieldError(field, free.prior, "must have a finite mean", remedy)
     if not np.all((known > 0.0) & (known < np.inf)):
         raise FieldError(field, free.prior, "must have a positive deviation", remedy)
+    if positive and np.any(middle + _FAR * known <= 0.0):
+        problem = "says that a number is negative, which only can be positive"
+        raise FieldError(field, free.prior, problem, remedy)

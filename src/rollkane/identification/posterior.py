@@ -1,5 +1,6 @@
 """Posteriors: samples of the parameters, by Hamiltonian Monte Carlo."""
 
+import warnings
 from typing import Any, cast
 
 import jax
@@ -11,36 +12,85 @@ from ..validation.checks import FieldError, whole
 from . import uncertainty
 from .experiments import Problem
 from .fit_result import Fit
+from .open_ends import open_ends
+from .posterior_draws import PosteriorDraws
+
+_LEAST = 4  # draws of a chain, of which halves have a variance
+_VISITS = 0.05  # draws that may be expected to come to an end that is open
+_ACCEPTED = 0.9  # shorter steps than numpyro's 0.8 makes: fewer of them diverge
+_APART = 2.0  # deviations, times which chains begin apart
 
 
 def posterior(
-    fit: Fit, draws: int = 1000, warmup: int = 500, seed: int = 0
-) -> dict[str, np.ndarray]:
+    fit: Fit, draws: int = 4000, warmup: int = 500, seed: int = 0, chains: int = 4
+) -> PosteriorDraws:
     """Samples of the parameters given the records (extra ``inference``: numpyro).
 
     By the No-U-Turn sampler, from the fit's likelihood and priors, which are of the
     numbers themselves; what has no prior is flat in the coordinates of the fit
-    (logarithms of positive numbers). Begins at the estimates, in directions and units
-    in which the linear covariance is one.
+    (logarithms of positive numbers, and so a density ``1 / x`` of the number x). That
+    is a distribution only where the records keep a number from zero: where they do not,
+    it is refused. Chains begin about the estimates, twice as far apart as the linear
+    covariance tells, in directions and units in which it is one.
 
     Args:
         fit: What :func:`rollkane.fit` found.
-        draws: How many samples.
-        warmup: How many before, in which the sampler finds its step.
+        draws: How many samples, of all chains together; rounded up to a multiple of
+            these.
+        warmup: How many before, in which each chain finds its step.
         seed: Of the random numbers.
+        chains: How many, which begin apart. With one only its halves are compared.
 
     Returns:
-        By path, draws in front of the parameter's shape [its unit].
+        By path, draws in front of the parameter's shape [its unit], one chain behind
+        the other; with what tells whether these agree, which warns by itself.
 
     Raises:
         FieldError: counts or a seed that are none, parameters that the records do not
-            show, bounds, a robust loss.
+            show or do not keep from an end of their range, bounds, a robust loss.
         ModuleNotFoundError: numpyro is not installed.
     """
     draws = whole("posterior.draws", draws, 1, "give how many samples")
     warmup = whole("posterior.warmup", warmup, 1, "give how many samples")
     seed = whole("posterior.seed", seed, 0, "give a whole number")
+    chains = whole("posterior.chains", chains, 1, "give how many, 4 for example")
+    each = max(-(-draws // chains), _LEAST)
+    _check(fit)
     layout, z = fit.problem.layout, fit.search.minimum.z
+    # of draws of a bell's shape this share is within a deviation that begins where the
+    # density is exp(-rise / 2) of the middle's
+    rise = 2.0 * np.log(chains * each / (np.sqrt(2.0 * np.pi) * _VISITS))
+    far = open_ends(fit.problem, fit.search, max(float(rise), 1.0))
+    if far:
+        problem = (
+            "has parameters that the records do not keep from an end of their range, "
+            "where a flat prior has no end"
+        )
+        remedy = (
+            "give a prior (a wide one is nearly flat in the number itself), hold them, "
+            "or record more"
+        )
+        raise FieldError("posterior.fit", far, problem, remedy)
+    known = uncertainty.coordinate_covariance(fit.search.minimum.at, layout, z)
+    root = np.linalg.cholesky(known)
+    starts = _starts(fit, root, chains, np.random.default_rng(seed))
+    potential = _potential(fit.problem, z, root)
+    samples, diverged = _sampled(potential, starts, each, warmup, seed)
+    found = z + samples @ root.T
+    values = layout.by_path(lambda e: np.stack([e.at(x).value for x in found]))
+    result = PosteriorDraws(values, chains, diverged)
+    for message in result.doubts():
+        warnings.warn(message, UserWarning, stacklevel=2)
+    return result
+
+
+def _check(fit: Fit) -> None:
+    """Refuse a fit whose likelihood is no density of its coordinates.
+
+    Raises:
+        FieldError: what :func:`posterior` refuses of a fit but its open ends.
+    """
+    layout = fit.problem.layout
     if fit.unseen:
         remedy = "hold one of them, or give a prior"
         raise FieldError("posterior.fit", fit.unseen, "has unseen parameters", remedy)
@@ -49,11 +99,26 @@ def posterior(
         raise FieldError("posterior.fit", "...", "has bounded parameters", remedy)
     if fit.loss != "linear":
         raise FieldError("posterior.fit.loss", fit.loss, "is not a likelihood", "refit")
-    known = uncertainty.coordinate_covariance(fit.search.minimum.at, layout, z)
-    root = np.linalg.cholesky(known)
-    samples = _sampled(_potential(fit.problem, z, root), z.size, draws, warmup, seed)
-    found = z + samples @ root.T
-    return layout.by_path(lambda e: np.stack([e.at(x).value for x in found]))
+
+
+def _starts(
+    fit: Fit, root: np.ndarray, chains: int, random: np.random.Generator
+) -> np.ndarray:
+    """Where chains begin in whitened coordinates, shape (C, P).
+
+    Nearer where the model bends so much that chi2 rises beyond what it does of a linear
+    one: there are minima that belong to other motions.
+    """
+    z, size = fit.search.minimum.z, fit.search.minimum.z.size
+    most = fit.chi2 + _APART**2 * (size + 4.0 * np.sqrt(2.0 * size))
+    found = _APART * random.standard_normal((chains, size))
+    for k in range(chains):
+        for _ in range(20):  # to a millionth
+            at = fit.problem.evaluate(z + root @ found[k])
+            if at.usable and float(np.sum(at.residual**2)) <= most:
+                break
+            found[k] *= 0.5
+    return found
 
 
 def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
@@ -84,14 +149,25 @@ def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
 
 
 def _sampled(
-    potential: Any, size: int, draws: int, warmup: int, seed: int
-) -> np.ndarray:
-    """Draws in whitened coordinates, shape (draws, P)."""
+    potential: Any, starts: np.ndarray, draws: int, warmup: int, seed: int
+) -> tuple[np.ndarray, int]:
+    """Draws in whitened coordinates, shape (C draws, P), and how many diverged."""
     from numpyro.infer import MCMC, NUTS  # pyright: ignore[reportMissingTypeStubs]
 
-    kernel = NUTS(potential_fn=potential, dense_mass=False)
-    chain = MCMC(kernel, num_warmup=warmup, num_samples=draws, progress_bar=False)
+    count = len(starts)
+    chain = MCMC(
+        NUTS(potential_fn=potential, dense_mass=False, target_accept_prob=_ACCEPTED),
+        num_warmup=warmup,
+        num_samples=draws,
+        num_chains=count,
+        chain_method="sequential",
+        progress_bar=False,
+    )
+    first = jnp.asarray(starts if count > 1 else starts[0])
     # numpyro relies on both promotions, whatever the caller has set
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        chain.run(jax.random.PRNGKey(seed), init_params=jnp.zeros(size))
-    return np.asarray(cast(Any, chain.get_samples()))
+        key = jax.random.PRNGKey(seed)
+        chain.run(key, init_params=first, extra_fields=("diverging",))
+    known = cast(Any, chain)
+    diverged = int(np.sum(np.asarray(known.get_extra_fields()["diverging"])))
+    return np.asarray(known.get_samples()), diverged

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from statistics import NormalDist
-from typing import cast
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from .transforms import Plain, Positive
 
 _HELD = 1e-3  # of a standard error: how firmly a profile holds its number
 _FARTHEST = 30.0  # standard errors: beyond, an interval has no end
+_ALIKE = 1e-9  # relative: entries that a program rounds differently
 _CLOSE = 2e-3  # relative error of the rise at an end, and so 1e-3 of its distance
 
 
@@ -74,11 +74,9 @@ def _of_entry(
     unseen = uncertainty.unseen_directions(at, problem.layout)
     errors = np.ravel(standard_errors_of(entry, z, known, unseen))
     low, high = value.ravel().copy(), value.ravel().copy()
-    done: dict[tuple[float, ...], int] = {}
-    largest = np.abs(slope).max()
+    numbers = np.column_stack([value.ravel(), slope])
     for k, error in enumerate(errors):
-        row = tuple(cast("list[float]", np.round(slope[k] / largest, 9).tolist()))
-        same = done.setdefault(row, k)  # of a symmetric array
+        same = _first_alike(numbers[: k + 1])  # of a symmetric array
         if same != k:
             low[k], high[k] = low[same], high[same]
         elif np.isinf(error):
@@ -93,6 +91,14 @@ def _of_entry(
     least, most = _allowed(entry)
     low, high = np.maximum(low, least), np.minimum(high, most)
     return low.reshape(value.shape), high.reshape(value.shape)
+
+
+def _first_alike(numbers: np.ndarray) -> int:
+    """The first row that is the last one but for roundings, of its own size."""
+    apart, sizes = np.abs(numbers - numbers[-1]), np.abs(numbers[-1])
+    alike = apart[:, 0] <= _ALIKE * sizes[0]
+    alike &= np.all(apart[:, 1:] <= _ALIKE * sizes[1:].max(), axis=1)
+    return int(np.argmax(alike))
 
 
 def _allowed(entry: Coordinates) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,8 @@ from .losses import loss_of
 from .unseen import REMEDY
 
 _STRONG = 0.95  # correlations that are told
-_FAR = 5.0  # deviations of chi2, in which it is no chance
+_FAR = 5.0  # deviations of chi2, or of a correlation, in which it is no chance
+_ROUNDING = 1e-2  # chi2 of a sample, below which misfits are no noise as was told
 
 
 def text_report(fit: Estimates) -> str:
@@ -114,6 +115,7 @@ def _channels(fit: Estimates) -> list[str]:
     residuals = fit.residuals if several else [fit.residuals]
     sigmas = fit.sigma if several else [fit.sigma]
     lines = [f"  {'channel':<20}{'samples':>9}{'chi2/N':>9}{'whiteness':>11}  sigma"]
+    told: list[str] = []
     for number, (per, sigma) in enumerate(zip(residuals, sigmas, strict=True)):
         for name, misfit in per.items():
             shown = f"{name} {{{number}}}" if several else name
@@ -122,10 +124,29 @@ def _channels(fit: Estimates) -> list[str]:
             noise = ", ".join(f"{s:.3g}" for s in sigma[name])
             white = whiteness(misfit)
             lines.append(f"  {shown:<20}{count:>9}{chi2:>9.3f}{white:>11.2f}  {noise}")
+            told += _alike(shown, misfit)
     lines.append(
         "  whiteness: correlation of neighbours over its deviation; |3| is a lot"
     )
-    return lines
+    return lines + told
+
+
+def _alike(name: str, misfit: np.ndarray) -> list[str]:
+    """What misfits that are like their neighbours do to errors, in words.
+
+    Of noise with the correlation r^k of samples k apart, and of parameters that samples
+    show slowly, the mean of N samples is known as by ``N (1 - r) / (1 + r)`` of them.
+    """
+    rounding = np.nanmean(misfit**2) < _ROUNDING
+    if whiteness(misfit) <= _FAR or rounding:
+        return []
+    r = min(_correlation(misfit)[0], 0.99)
+    factor = np.sqrt((1.0 + r) / (1.0 - r))
+    return [
+        f"  Neighbours of {name} are alike, but errors take noise to be white: if it",
+        f"    is noise, errors may be {factor:.2g} times as large; else something is",
+        "    missing in the model",
+    ]
 
 
 def whiteness(misfit: np.ndarray) -> float:
@@ -133,15 +154,18 @@ def whiteness(misfit: np.ndarray) -> float:
 
     Of white noise normal with deviation 1; large where the model leaves something out.
     """
+    value, pairs = _correlation(misfit)
+    return float(value * np.sqrt(pairs))
+
+
+def _correlation(misfit: np.ndarray) -> tuple[float, int]:
+    """Of neighbouring misfits, and of how many pairs; 0 of none, or of zeros."""
     before, after = misfit[:-1], misfit[1:]
     both = np.isfinite(before) & np.isfinite(after)
-    if both.sum() < 2:
-        return 0.0
-    power = np.nanmean(misfit**2)
-    if power == 0.0:
-        return 0.0
-    along = np.sum(np.where(both, before * after, 0.0))
-    return float(along / (power * np.sqrt(both.sum())))
+    pairs = int(both.sum())
+    if pairs < 2 or (power := np.nanmean(misfit**2)) == 0.0:
+        return 0.0, pairs
+    return float(np.sum(np.where(both, before * after, 0.0)) / (power * pairs)), pairs
 
 
 def _correlations(fit: Estimates) -> list[str]:

@@ -260,5 +260,17 @@ class Observed(AbstractSensor):
         return
 
     def observed(self, scene: Scene, t: Array, state: AnyState) -> Float[Array, " k"]:
-        """What the function gives."""
-        return jnp.atleast_1d(self.function(scene, t, state))
+        """What the function gives.
+
+        Raises:
+            FieldError: other than one number for each column: JAX would repeat one.
+        """
+        found = jnp.atleast_1d(self.function(scene, t, state))
+        if found.shape != self.values.shape[1:]:
+            problem = (
+                f"gives numbers of shape {found.shape}, and its values have "
+                f"{self.values.shape[1]} columns"
+            )
+            remedy = "return one number for each column of the values"
+            raise FieldError("Observed.function", self.function, problem, remedy)
+        return found

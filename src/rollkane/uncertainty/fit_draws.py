@@ -20,8 +20,8 @@ from ..identification.parameters import Model, Values, located, with_numbers
 from ..identification.transforms import AbstractTransform
 from ..validation.checks import FieldError, whole
 from .distribution_checks import inside, listed, root_of
-from .distributions import AbstractDistribution, Normal
-from .truncation import quantile_between
+from .distributions import AbstractDistribution
+from .truncated_normal import Box, Tilt, drawn_within, tilt_of
 
 # Standard deviations of a logarithm: uniform numbers of 53 digits are within 8.3 of
 # them, and e^83 is a number in single precision, too.
@@ -53,8 +53,9 @@ class FitCovariance(AbstractDistribution):
 
     These keep every draw physical: logarithms of positive numbers, second moments of
     inertias, small rotations. What has bounds is normal within them, about where the
-    estimate would be without them; others follow it. (Exact for one number with bounds;
-    of several, each is within its own given those before it.) Draws are by path; of
+    estimate would be without them, several together; others follow it. (A draw of
+    several is made again where it has too little probability, by numbers that follow
+    from its uniform ones: there it has no derivative by these.) Draws are by path; of
     several records' own parameters stacked, as in ``estimates``.
 
     Attributes:
@@ -65,6 +66,7 @@ class FitCovariance(AbstractDistribution):
             shape (P, P).
         lower: Bounds of the coordinates, shape (P,).
         upper: Likewise.
+        tilt: How those with bounds are drawn together.
         transforms: Of each parameter.
         places: Where each is.
         tied: Parameters that follow: path, keys, function.
@@ -81,6 +83,7 @@ class FitCovariance(AbstractDistribution):
     root: Float[Array, "P P"]
     lower: Float[Array, " P"]
     upper: Float[Array, " P"]
+    tilt: Tilt
     transforms: tuple[AbstractTransform, ...]
     places: tuple[_Place, ...] = eqx.field(static=True)
     tied: tuple[tuple[str, paths.Keys, Callable[[Values], Any]], ...] = eqx.field(
@@ -119,6 +122,9 @@ class FitCovariance(AbstractDistribution):
         ordered = known[np.ix_(self.order, self.order)]
         self.root = root_of(field, ordered, jnp.asarray(ordered))
         self.lower, self.upper = jnp.asarray(layout.lower), jnp.asarray(layout.upper)
+        order, count = np.asarray(self.order), int(limited.sum())
+        own = self.center[order], self.root[:, :count], self.lower[order]
+        self.tilt = tilt_of(Box(*(x[:count] for x in (*own, self.upper[order]))))
         channels = {name: None for m in layout.models for name in m.channels}
         self.transforms = tuple(entry.transform for entry in layout.entries)
         self.places = tuple(_place(entry, channels) for entry in layout.entries)
@@ -145,20 +151,13 @@ class FitCovariance(AbstractDistribution):
         """Parameters by path [their units]."""
         u = inside(u)
         order = jnp.asarray(self.order)
-        center, lower, upper = (
-            x.astype(u.dtype)[order] for x in (self.center, self.lower, self.upper)
-        )
-        root, z = self.root.astype(u.dtype), ndtri(u[order])
-        for k, place in enumerate(self.order):
-            if not self.limited[place]:
-                break
-            spread = root[k, k]
-            known = jnp.where(spread > 0.0, spread, 1.0)
-            middle = center[k] + root[k, :k] @ z[:k]
-            ends = (lower[k] - middle) / known, (upper[k] - middle) / known
-            tails = jnp.log(u[place]), jnp.log1p(-u[place])
-            within = quantile_between(Normal(0.0, 1.0), *ends, *tails)
-            z = z.at[k].set(jnp.where(spread > 0.0, within, 0.0))
+        known = (self.center[order], self.root, self.lower[order], self.upper[order])
+        center, root, lower, upper = (x.astype(u.dtype) for x in known)
+        z, count = ndtri(u[order]), sum(self.limited)
+        if count:
+            box = Box(*(x[:count] for x in (center, root[:, :count], lower, upper)))
+            tilt = Tilt(*(x.astype(u.dtype) for x in self.tilt))
+            z = z.at[:count].set(drawn_within(box, tilt, u[order[:count]]))
         found = jnp.zeros_like(z).at[order].set(center + root @ z)
         return self._values(
             jnp.clip(found, self.lower.astype(u.dtype), self.upper.astype(u.dtype))
@@ -220,6 +219,7 @@ class FitCovariance(AbstractDistribution):
         every = (self.transforms, self.scene, self.starts, self.times)
         arrays = filter(eqx.is_inexact_array, jax.tree.leaves(every))
         model = [np.ravel(np.asarray(x, float)) for x in arrays]
+        together = {"tilt": [listed(x) for x in self.tilt]}  # one number has none
         return {
             "kind": "FitCovariance",
             "paths": [place.path for place in self.places],
@@ -228,7 +228,7 @@ class FitCovariance(AbstractDistribution):
             "root": listed(self.root),
             "bounds": [listed(self.lower), listed(self.upper)],
             "model": listed(np.concatenate(model)),
-        }
+        } | (together if sum(self.limited) > 1 else {})
 
 
 def _check_width(field: str, entry: Coordinates, known: np.ndarray) -> None:

@@ -59,7 +59,7 @@ class Truncated(AbstractContinuous):
         self.low = _limit("Truncated.low", low, -jnp.inf, shape)
         self.high = _limit("Truncated.high", high, jnp.inf, shape)
         self.low = ordered("Truncated.low", self.low, self.high)
-        mass = cast(Array, _log_mass(distribution, self.low, self.high))
+        mass = cast(Array, log_mass(distribution, self.low, self.high))
         known = not is_traced(mass)
         if known and np.isnan(np.asarray(mass)).any():
             problem = "has a number that does not vary"
@@ -164,8 +164,8 @@ def _ends_of(
 
 
 @jax.jit  # one program, not one for each operation
-def _log_mass(distribution: AbstractContinuous, low: Array, high: Array) -> Array:
-    """Logarithm of an interval's probability."""
+def log_mass(distribution: AbstractContinuous, low: Array, high: Array) -> Array:
+    """Logarithm of an interval's probability; ends may be infinite."""
     return _log_between(*_ends_of(distribution, low, high))
 
 
