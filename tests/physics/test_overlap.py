@@ -154,6 +154,35 @@ def test_a_body_that_is_clear_is_accepted(name):
     assert abs(float(found.gap)) < 1e-12
 
 
+def waves(x, y):
+    crossed = 0.03 * jnp.sin(12.0 * x) + 0.03 * jnp.cos(9.6 * y + 1.0)
+    return crossed + 0.015 * jnp.sin(23.0 * x + 5.0 * y)
+
+
+def test_a_second_place_in_the_valley_of_the_first_is_found():
+    """A ball in waves that nearly fit it: its other place is half a radius away."""
+    x, y = -1.2071, 0.3787
+    wavy = scene(rk.Sphere(0.1), rk.Graph(waves))
+    turns = np.random.default_rng(7).normal(size=(40, 4))
+    turns /= np.linalg.norm(turns, axis=1)[:, None]
+    where = jnp.stack([x, y, waves(x, y)])
+
+    def gap_of(turn):
+        start = rk.place(wavy, turn, STILL, where, allow_overlap=True)
+        return clearance.clearance(wavy, jnp.zeros(()), start).gap
+
+    slopes = np.array(jax.grad(waves, (0, 1))(x, y))
+    normal = np.append(-slopes, 1.0) / np.sqrt(1.0 + slopes @ slopes)
+    other = jnp.array([-1.25520836, 0.37011984])  # nearest to its middle, to 1e-7 m
+    way = np.append(other, waves(*other)) - (np.array(where) + 0.1 * normal)
+    depth = 0.1 - float(np.linalg.norm(way))
+    assert depth > 5e-5
+    gaps = jax.jit(jax.vmap(gap_of))(turns)
+    # a search ends beside the place along a valley of curvature 0.1 / m or so by less
+    # than 1e-3 m, 5e-8 m of depth; where the place was missed gaps were zero
+    np.testing.assert_allclose(gaps, -depth, rtol=1e-3)
+
+
 def test_two_convex_bodies_are_not_looked_at():
     for body in (rk.Sphere(0.1), rk.Ellipsoid((0.1, 0.2, 0.3)), rk.DiscEdge(0.1)):
         for base in (rk.Plane(), rk.Sphere(2.0), rk.Cylinder(1.0), rk.Cone(-1.0, True)):

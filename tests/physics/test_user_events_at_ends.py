@@ -169,3 +169,42 @@ def test_a_value_that_touches_zero_on_an_output_is_found_there(way):
     run = rk.simulate(SCENE, START, (0.0, 0.8, 2.0), **how)
     assert int(run.code) == rk.Code.COMPLETED
     np.testing.assert_array_equal(run.events["touch"].times, [0.8])
+
+
+# -- at a change of the contact --------------------------------------------------------
+
+
+class Height(eqx.Module):
+    """Of the ball above a place [m]."""
+
+    least: float
+
+    def __call__(self, scene, t, state):
+        return rk.contact_of(scene, t, state).position[2] - self.least
+
+
+def test_an_event_that_a_landing_makes_has_no_derivative():
+    """Not even one that looks well: its state moves with the landing."""
+    down, half = [rk.Event(Height(least), name=str(least)) for least in (0.1, 0.3)]
+
+    def times_of(height):
+        place = jnp.stack([0.0 * height, 0.0 * height, 0.1 + height])
+        start = rk.release(SCENE, UP, STILL, place, STILL)
+        modes = rk.Modes(friction=0.2, restitution=0.5)
+        how = {"modes": modes, "events": half, "stop": down, "max_steps": 500}
+        run = rk.simulate(SCENE, start, (0.0, 1.0), **how)
+        found = [run.events[event.name].times[0] for event in (half, down)]
+        return jnp.stack([*found, run.final_time, run.switches.time[0]])
+
+    times, moves = jax.jvp(times_of, (jnp.asarray(0.5),), (jnp.asarray(1.0),))
+    fall, first = (2.0 * 0.5 / 9.81) ** 0.5, (2.0 * 0.3 / 9.81) ** 0.5
+    # free flight is exact, a landing is found to some roundings of 1 s and 3 m/s
+    known = [first, fall, fall, fall]
+    np.testing.assert_allclose(times, known, rtol=0, atol=1e-12)
+    # t = sqrt(2 (h - z) / g), and (h - z) / h' = 1 / (g t)
+    known = [1.0 / (9.81 * first), np.nan, np.nan, 1.0 / (9.81 * fall)]
+    np.testing.assert_allclose(moves, known, rtol=1e-10)
+    # backwards, too, and it leaves what is known alone
+    _, pull = jax.vjp(times_of, jnp.asarray(0.5))
+    rows = [pull(row)[0] for row in jnp.eye(4)]
+    np.testing.assert_allclose(rows, known, rtol=1e-10)

@@ -30,6 +30,9 @@ from .rolling import contact_of
 from .scene import Scene
 
 _LOWEST = 8  # local minima of the samples that are searched further
+# The lowest of the others that are: where surfaces nearly fit each other a second place
+# lies in the valley of the first, and no sample of it is lower than all around
+_IN_VALLEYS = 6
 _NEAREST = 4  # of those of a body in flight, which Newton's method improves
 _NEAR = 8  # neighbours of a sample
 _ROUNDS, _SHRINK = 12, 0.4  # to 2e-5 of the samples' distance: 1e-10 of its gap
@@ -241,13 +244,14 @@ def flying_pose(
 
 
 def _candidates(
-    side: _Side, count: int
+    side: _Side, count: int, others: int = 0
 ) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
     """Levels and coordinates of the samples with the lowest levels around them.
 
     Args:
         side: Whose samples.
         count: How many, at most.
+        others: How many of the lowest that are not lower than those around them.
 
     Returns:
         Levels, infinite where there are fewer; coordinates.
@@ -255,7 +259,7 @@ def _candidates(
     surface = side.surface
     samples = jnp.asarray(surface.samples(), side.dtype)
     near = surface.lattice()
-    levels, chosen = _least_of(side.value, samples, near, count, side.searched)
+    levels, chosen = _least_of(side.value, samples, near, count, side.searched, others)
     return levels, samples[chosen]
 
 
@@ -278,19 +282,26 @@ def _least_of(
     lattice: NDArray[Any],
     count: int,
     searched: bool,
+    others: int = 0,
 ) -> tuple[Float[Array, " m"], Int[Array, " m"]]:
-    """The lowest of the samples that are lower than those around them, and which."""
+    """The lowest of the samples that are lower than those around them, and which.
+
+    Behind them the lowest of the ``others``, so many.
+    """
     values = _each(value, samples, searched)
     near = of_numbers(_neighbours, lattice)
     local = values <= jnp.min(values[near], axis=1)
     lowest, chosen = jax.lax.top_k(-jnp.where(local, values, jnp.inf), count)
-    return -lowest, chosen
+    if others == 0:
+        return -lowest, chosen
+    low, more = jax.lax.top_k(-jnp.where(local, jnp.inf, values), others)
+    return -jnp.concatenate([lowest, low]), jnp.concatenate([chosen, more])
 
 
 def _lowest(side: _Side) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """The least level of a surface's points, and the point that has it."""
     surface, dtype = side.surface, side.dtype
-    levels, chosen = _candidates(side, _LOWEST)
+    levels, chosen = _candidates(side, _LOWEST, _IN_VALLEYS)
     spacing = jnp.stack([jnp.asarray(x, dtype) for x in surface.spacing])
     ticks = np.linspace(-1.0, 1.0, 5)
     star = np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)

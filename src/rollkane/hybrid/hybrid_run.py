@@ -163,7 +163,12 @@ def _with_events(
     make: Callable[[HybridScene], Motion]
     make = lambda scene: runs.motion(scene, times.dtype)
     span = jax.lax.stop_gradient(jnp.abs(times[-1] - times[0]))
-    found = at_their_zeros(events, make, scene, found, span)
+    # a state that a change of the contact shows moves with the change, not at its time:
+    # of it nothing is known by one Newton step of the event, whose value may even jump
+    changes = jax.lax.stop_gradient(run.switches.time)
+    at_change = jnp.any(kept.time[:, None] == changes[None], axis=1)
+    spans = jnp.where(at_change, jnp.nan, span)
+    found = at_their_zeros(events, make, scene, found, spans)
     ended = run.code == Code.STOPPED
     first = jnp.asarray(layout_of(events).firsts)[jnp.maximum(found.by, 0)]
     last: Callable[[Array, Array], Array] = lambda own, kept: jnp.where(

@@ -311,7 +311,7 @@ def at_their_zeros(
     make: Callable[[Any], Motion],
     scene: Any,
     happened: Happened,
-    span: Float[Array, ""],
+    spans: Float[Array, " R"],
 ) -> Happened:
     """Events that move with all that they depend on, (8.13).
 
@@ -320,7 +320,7 @@ def at_their_zeros(
         make: ``make(scene)`` -> rates in all modes.
         scene: Differentiable.
         happened: What was found; ``y`` has states.
-        span: Of the run [s].
+        spans: Of the run [s]; NaN where an event has no derivative.
     """
     layout = layout_of(events)
     like = happened.y.parts
@@ -338,7 +338,9 @@ def at_their_zeros(
     size: Callable[[Array], Any] = lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype)
     one = jax.tree.map(size, like)
 
-    def moved(event: Any, t: Array, state: ModedState) -> tuple[Array, Array]:
+    def moved(
+        event: Any, t: Array, state: ModedState, span: Array
+    ) -> tuple[Array, Array]:
         mode = jnp.maximum(state.mode, 0)
         model = scene, mode, jax.lax.stop_gradient(state.direction)
         y = pack(state.parts)
@@ -347,8 +349,9 @@ def at_their_zeros(
     found: list[tuple[Array, Array]] = []
     for event, first, most in zip(events, layout.firsts, layout.mosts, strict=True):
         part: Callable[[Array], Array] = lambda x, a=first, b=most: x[a : a + b]
-        each = jax.vmap(moved, in_axes=(None, 0, 0))
-        found.append(each(event, part(happened.time), jax.tree.map(part, happened.y)))
+        each = jax.vmap(moved, in_axes=(None, 0, 0, 0))
+        at = part(happened.time), jax.tree.map(part, happened.y), part(spans)
+        found.append(each(event, *at))
     time = jnp.concatenate([t for t, _ in found])
     parts = unpack(jnp.concatenate([y for _, y in found]), one)
     return happened._replace(

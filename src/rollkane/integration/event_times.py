@@ -143,7 +143,7 @@ def followed(
         y: State there, whose derivative is that at this time.
         model: What moves.
         event: What was looked for.
-        span: Of the run [s].
+        span: Of the run [s]; NaN where the event has no derivative.
     """
     del rates, field, model, event, span
     return t, y
