@@ -255,3 +255,62 @@ def test_free_bodies_have_no_parameters(gravity):
         kane.free_bodies([1.0, of_parameters], [inertia, inertia], gravity)
     with pytest.raises(FieldError, match=r"^free_bodies\.inertias\[0\]: is a function"):
         kane.free_bodies([1.0], [of_parameters], gravity)
+
+
+def pair(constraints, dependent):
+    point = lambda t, q, u: [u[0], u[1], 0.0]
+    parts = [kane.Particle(1.0, point)]
+    return kane.KaneSystem(
+        *(2, 2, lambda t, q, u: u, parts),
+        constraints=constraints,
+        dependent=dependent,
+    )
+
+
+def test_numbers_of_constraints_that_determine_no_motion():
+    driven, none = pair(lambda t, q, u: [u[0] - 1.0, u[1]], (0, 1)), jnp.zeros(0)
+    with pytest.raises(FieldError, match=r"KaneSystem.dependent: are all 2 speeds"):
+        kane.simulate(driven, kane.KaneState(jnp.zeros(2), none), (0.0, 1.0))
+    with pytest.raises(FieldError, match=r"KaneSystem.dependent: are all 2 speeds"):
+        kane.linearize(driven, 0.0, kane.KaneState(jnp.zeros(2), none))
+    with pytest.raises(FieldError, match=r"KaneSystem.constraints: returns no rows"):
+        pair(lambda t, q, u: jnp.zeros(0), None)
+    many = pair(lambda t, q, u: [u[0], u[1], u[0] + u[1]], None)
+    start = kane.KaneState(jnp.zeros(2), jnp.zeros(2))
+    with pytest.raises(FieldError, match=r"KaneSystem.constraints: follow from each"):
+        kane.simulate(many, start, (0.0, 1.0))
+
+
+def test_a_linear_model_at_no_time():
+    system = pair(lambda t, q, u: [u[1] - t * u[0]], (1,))
+    state = kane.KaneState(jnp.zeros(2), jnp.zeros(1))
+    with pytest.raises(FieldError, match=r"linearize.t: must be finite"):
+        kane.linearize(system, np.nan, state)
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [
+        np.diag([1.0, 1.0, -1.0]),
+        2.0 * np.eye(3),
+        [[1.0, 0.1, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    ],
+)
+def test_axes_of_contacts_are_turned_alone(turn):
+    """A mirrored plane would have its ball below it, and pull it."""
+    bodies = kane.free_bodies([1.0], [0.04 * np.eye(3)])
+    plate = kane.Frame(None, lambda t, q, u: jnp.asarray(turn))
+    (ball,) = bodies.frames
+    contact = kane.RollingContact(ball, rk.Sphere(0.3), plate, rk.Plane())
+    q = [0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]
+    with pytest.raises(FieldError, match=r"\[0\].body_b.rotation: is no rotation"):
+        kane.rolling_contacts(bodies.system, [contact], q=q, u=np.zeros(6))
+
+
+def test_contacts_at_no_time():
+    bodies = kane.free_bodies([1.0], [0.04 * np.eye(3)])
+    (ball,) = bodies.frames
+    contact = kane.RollingContact(ball, rk.Sphere(0.3), kane.ground, rk.Plane())
+    q = [0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]
+    with pytest.raises(FieldError, match=r"rolling_contacts.time: must be finite"):
+        kane.rolling_contacts(bodies.system, [contact], q=q, u=np.zeros(6), time=np.nan)

@@ -15,7 +15,7 @@ from ..codegen.compile_effort import for_one_call
 from ..kinematics.surface_fit import fit_of, refuse_fit
 from ..validation.checks import FieldError
 from .contact_functions import Chosen, Corrections, Gaps, Shared, Slips, split
-from .contact_rates import Touching, all_poses, gap_of
+from .contact_rates import Pose, Touching, all_poses, gap_of
 from .equations import kane_equations
 from .system import KaneSystem
 from .system_arguments import chosen_numbers
@@ -26,6 +26,8 @@ _RANK = 1e-9
 # of lengths and turns of order one: a thousand roundings
 _CLOSED = 1e-13
 _TRIES = 60
+# of a rotation's columns: a matrix made of a quaternion that a loose run has stretched
+_TURNED = 1e-6
 # contacts are moved this much farther than bodies
 _REACH = 100.0
 
@@ -90,6 +92,9 @@ def root_of(base: KaneSystem, t: Array, q: Array, u: Array) -> np.ndarray:
     Raises:
         FieldError: it has none there.
     """
+    if not np.isfinite(t):
+        problem, remedy = "must be finite", "give the time of the start in seconds"
+        raise FieldError("rolling_contacts.time", t, problem, remedy)
     masses = np.asarray(kane_equations(base, t, q, u).mass_matrix)
     if not np.isfinite(masses).all():
         raise FieldError(
@@ -102,6 +107,32 @@ def root_of(base: KaneSystem, t: Array, q: Array, u: Array) -> np.ndarray:
     largest = size[-1] if size[-1] > 0.0 else 1.0
     size = np.maximum(size, 1e-6 * largest)  # what moves no mass is moved freely
     return axes / np.sqrt(size / largest)
+
+
+def known_poses(shared: Shared, t: Array, q: Array) -> list[tuple[Pose, Pose]]:
+    """Poses of both bodies of every pair.
+
+    Raises:
+        FieldError: axes that are not turned alone, but mirrored or stretched.
+    """
+    base, pairs = shared.base, shared.pairs
+    rest = jnp.zeros(base.speeds + base.auxiliary, q.dtype)
+    poses = all_poses(pairs, t, q, rest, shared.more(t, q, rest, base.parameters))
+    for k, both in enumerate(poses):
+        for name, (_, turn) in zip(("body_a", "body_b"), both, strict=True):
+            R = np.asarray(turn, float)
+            alike = np.abs(R.T @ R - np.eye(3)).max()
+            # a state that a run ended with has errors, and so has its rotation
+            known = max(_TURNED, 100.0 * float(np.finfo(turn.dtype).eps))
+            if not (alike < known and np.linalg.det(R) > 0.0):
+                raise FieldError(
+                    f"rolling_contacts.contacts[{k}].{name}.rotation",
+                    R.tolist(),
+                    "is no rotation: its columns must be orthogonal, of length one and "
+                    "right-handed",
+                    "give the body's axes on fixed axes, by columns",
+                )
+    return poses
 
 
 def correction_of(root: np.ndarray) -> Corrections:

@@ -20,12 +20,13 @@ from ..kinematics.contact_place import check_surface
 from ..validation.checks import FieldError, flag, is_traced, real
 from ..validation.user_functions import GivenFunction
 from .contact_functions import Shared, Slips, extended
-from .contact_rates import Axes, Touching, all_poses
+from .contact_rates import Axes, Touching
 from .contact_start import (
     chosen_of,
     closed_start,
     consistent_speeds,
     correction_of,
+    known_poses,
     normals_of,
     root_of,
 )
@@ -302,11 +303,10 @@ def _places(
     shared: Shared, contacts: tuple[RollingContact, ...], t: Array, q: Array
 ) -> list[np.ndarray]:
     """Contact coordinates to begin the search with."""
-    base, pairs = shared.base, shared.pairs
-    rest = jnp.zeros(base.speeds + base.auxiliary, q.dtype)
-    poses = all_poses(pairs, t, q, rest, shared.more(t, q, rest, base.parameters))
     found: list[np.ndarray] = []
-    for k, (contact, pair, pose) in enumerate(zip(contacts, pairs, poses, strict=True)):
+    poses = known_poses(shared, t, q)
+    each = zip(contacts, shared.pairs, poses, strict=True)
+    for k, (contact, pair, pose) in enumerate(each):
         (p_a, R_a), (p_b, R_b) = pose
         near = p_a
         if contact.near is not None:

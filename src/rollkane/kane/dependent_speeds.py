@@ -1,4 +1,4 @@
-"""Whether the constraints go on determining the speeds that were chosen as dependent.
+"""Whether constraints go on determining a motion as they did at its start.
 
 Where the determinant of their part of the constraints passes zero, no equations of the
 independent speeds are left: next to it they grow as one over its square, and a step
@@ -6,6 +6,12 @@ that jumps across has an error that its estimate does not see. Where a whole row
 zero, as that of a rod as long as its crank, the determinant of rows of unit length says
 nothing: motions part there, and an error of a step decides which one is followed. So
 rates are NaN beyond either, at every stage of a step.
+
+By multipliers no choice can fail, but constraints that come to follow from each other
+can: motions part there as well (a parallelogram that is flat), and next to it the rates
+of one turn into those of the other, by errors that are as small as one likes. What a
+row adds to the others is a length without a sign: a step that looks at no such place
+goes across, on the motion that it came by, and rates are NaN where one looks.
 """
 
 from collections.abc import Callable
@@ -19,7 +25,7 @@ from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_few_operations
 from .closure import kept
-from .linear_solves import determinant
+from .linear_solves import determinant, next_to
 from .system import KaneState, KaneSystem
 
 # Least singular value of rows of unit length that a start may have: rates of one with
@@ -32,6 +38,12 @@ _TIMES, _LOOSE = 3.0, 1e-2
 # That counts for so many rows, a fourth root each: of many, all may become a little
 # shorter, as those of a chain of 15 links do, and nothing is undetermined
 _FEW = 4
+# By multipliers, loose runs open what is closed by their tolerance, and turn off as far
+# from the place as the root of that: of 1e-3 a hundredth is nearer
+_TURNS = 0.1
+# what a row adds to others is known to the root of roundings of its length, by squares:
+# ten of them are told from none
+_SQUARES = 10.0
 # How near to either a run is stuck: steps of the clock, 1e-14 of it, are far below
 _THERE = 1e-3
 
@@ -52,13 +64,57 @@ def on_its_side(
         rtol: Relative tolerance of the motion [1].
         by_speeds: Derivatives of the constraints by all speeds, where they are known.
     """
-    if not system.dependent:
+    if not is_watched(system):
         return system
     if by_speeds is None:
         by_speeds = _by_speeds(system, t, state)
     loose = jnp.asarray(rtol, by_speeds.dtype)
     own = by_speeds[:, : system.speeds]
+    if system.by_multipliers:
+        largest = _TURNS if system.projection is None else _LOOSE
+        return of_side(system, _alone(own, _TIMES * jnp.sqrt(loose), largest))
     return of_side(system, _side(own, system.dependent, loose))
+
+
+def is_watched(system: KaneSystem) -> bool:
+    """Whether there are constraints, by dependent speeds or by multipliers."""
+    return system.constraints is not None
+
+
+@for_few_operations
+def _alone(
+    C: Float[Array, "k m"], least: Float[Array, ""], largest: float
+) -> Float[Array, " k"]:
+    """What is multiplied by what rows add to others, which has to be larger than one.
+
+    Args:
+        C: Derivatives of the constraints by the speeds, at the start.
+        least: Of what each adds there, what has to be left.
+        largest: That it is at most.
+    """
+    added = _added(next_to(C))
+    known = _SQUARES * float(np.finfo(C.dtype).eps) ** 0.5
+    lengths = jnp.sqrt(jnp.sum(C * C, axis=1))
+    side = 1.0 / jnp.maximum(jnp.minimum(least, largest) * added, known * lengths)
+    return jax.lax.stop_gradient(jnp.where(jnp.isfinite(side), side, 0.0))
+
+
+def _added(nearest: Float[Array, "m k"]) -> Float[Array, " k"]:
+    """How long the part of each constraint is that is across all others."""
+    return 1.0 / jnp.sqrt(jnp.sum(nearest * nearest, axis=0))
+
+
+def share_by_multipliers(
+    system: KaneSystem, nearest: Float[Array, "m k"]
+) -> Float[Array, ""]:
+    """What is smallest, of the least that a motion may have; below one it ends.
+
+    Args:
+        system: Of a motion.
+        nearest: Least changes of the speeds that alter each constraint by one.
+    """
+    assert system.side is not None
+    return jnp.min(_added(nearest) * system.side)
 
 
 @for_few_operations
@@ -89,8 +145,8 @@ def share_of(system: KaneSystem, C: Float[Array, "k m"]) -> Float[Array, ""]:
 
 
 def of_side(system: KaneSystem, side: Any) -> KaneSystem:
-    """A system with dependent speeds as a motion's; others as they are."""
-    if not system.dependent:
+    """A system with constraints as a motion's; others as they are."""
+    if not is_watched(system):
         return system
     alone: Callable[[object], bool] = lambda x: x is None
     return eqx.tree_at(lambda s: s.side, system, side, is_leaf=alone)
@@ -98,18 +154,24 @@ def of_side(system: KaneSystem, side: Any) -> KaneSystem:
 
 def with_as_many_numbers(system: KaneSystem) -> KaneSystem:
     """A system that has as many numbers as a motion's, by which faults are told."""
-    return of_side(system, np.zeros(1 + len(system.dependent)))
+    determinants = 0 if system.by_multipliers else 1
+    return of_side(system, np.zeros(determinants + system.constraint_count))
 
 
 def undetermined(system: KaneSystem, t: Array, state: KaneState) -> Array:
-    """Whether a run that got stuck did so as its dependent speeds are not determined.
+    """Whether a run that got stuck did so as constraints do not determine it.
 
     Args:
         system: The system, of a motion.
         t: Time that was reached [s].
         state: State that was reached.
     """
-    return ~(share_of(system, _by_speeds(system, t, state)) > 1.0 + _THERE)
+    C = _by_speeds(system, t, state)
+    if system.by_multipliers:
+        share = share_by_multipliers(system, next_to(C[:, : system.speeds]))
+    else:
+        share = share_of(system, C)
+    return ~(share > 1.0 + _THERE)
 
 
 def _by_speeds(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, "k m"]:

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from ..geometry.small_linear import cross
 from .closure import kept_state, kept_well
-from .dependent_speeds import share_of
+from .dependent_speeds import share_by_multipliers, share_of
 from .given_states import (
     checked_state,
     coordinates_of,
@@ -331,7 +331,11 @@ def speeds_of(
         m = system.speeds
         M = masses_of(system, partials)[:m, :m]
         follow = -free @ followed(M, C[:, :m])
-        nearest = -free @ next_to(C[:, :m])
+        least = next_to(C[:, :m])
+        if system.side is not None:  # where they follow from each other motions part
+            part = ~(share_by_multipliers(system, least) > 1.0)
+            least = jnp.where(part, jnp.nan, least)
+        nearest = -free @ least
         u = u + nearest @ partials.at("constraints", u)
         return Speeds(u, free + nearest @ (C @ free), follow)
     bound = _places(size, system.dependent, u.dtype)

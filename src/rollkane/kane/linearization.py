@@ -20,7 +20,7 @@ from .equations import Reduced, reduced
 from .given_states import checked_state, known_system, time_of
 from .singular_states import Examined, examined, refuse
 from .system import KaneState, KaneSystem
-from .system_arguments import chosen_numbers
+from .system_arguments import chosen_numbers, refuse_all
 
 # By places and inputs; the rates themselves, and the equations that they come from.
 _Derivatives: TypeAlias = tuple[tuple[Array, Array], tuple[Array, Reduced]]
@@ -93,6 +93,10 @@ def linearize(
     if known and not all(np.isfinite(x).all() for x in (state.q, state.u)):
         problem, remedy = "must be finite", "give a state that the motion can have"
         raise FieldError("linearize.state", state, problem, remedy)
+    refuse_all(system.dependent, system.speeds)
+    if known and not np.isfinite(t):
+        problem, remedy = "must be finite", "give the time in seconds"
+        raise FieldError("linearize.t", t, problem, remedy)
     # by JAX a known time could be traced
     when = np.asarray(t, jnp.result_type(t, float)) if known else as_time(t)
     t = cast(Array, when)

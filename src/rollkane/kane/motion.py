@@ -21,7 +21,12 @@ from ..kinematics.base_motion import BESIDE_JUMPS
 from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, Code, Fields, is_stuck
 from .closure import bound_start, kept_state, kept_well
-from .dependent_speeds import on_its_side, undetermined, with_as_many_numbers
+from .dependent_speeds import (
+    is_watched,
+    on_its_side,
+    undetermined,
+    with_as_many_numbers,
+)
 from .equations import (
     all_speeds,
     allowed_state,
@@ -31,8 +36,17 @@ from .equations import (
 )
 from .given_states import checked_state, known_system
 from .implied_rows import lost
-from .singular_states import refuse_start
+from .singular_states import Examined, refuse_start
 from .system import KaneState, KaneSystem
+from .velocity_jumps import refuse_jumps
+
+# in place of the sentence about speeds that were chosen
+_PARTING = (
+    "the constraints, which act by multipliers, come to follow from each other here, "
+    "and motions part: an error of a step would decide which one is followed; the "
+    "motion up to here is right; go on with a start behind this place, on the motion "
+    "that you mean"
+)
 
 
 class KaneTrajectory(eqx.Module):
@@ -95,6 +109,8 @@ class KaneTrajectory(eqx.Module):
     def reason(self) -> str:
         """Why a single run ended, and what to do about it."""
         moved = with_as_many_numbers(self.system)
+        if int(self.code) == Code.DEPENDENT_SPEEDS and self.system.by_multipliers:
+            return _PARTING
         fields = Fields.of(moved, self.final_state, "system")
         row = ""
         if int(self.code) == Code.NO_LONGER_REDUNDANT:
@@ -184,7 +200,7 @@ def simulate(
     warn_single_precision(dtype)
     times = checked_times(times, dtype)
     rtol, atol = tolerances(rtol, atol, dtype)
-    seen = refuse_start(system, times[0], start, rtol)
+    seen = _refused(system, times, start, rtol)
     start = bound_start(system, times[0], start, rtol)
     moving = on_its_side(system, times[0], start, rtol, seen and seen.by_speeds)
     ready = prepared(
@@ -205,7 +221,7 @@ def simulate(
     if system.projection is not None or system.implied is not None:
         ended = outcome.final_time, final
         state, final, code = _on_constraints(system, outcome.time, state, *ended, code)
-    if system.dependent and (is_traced(code) or is_stuck(code.item())):
+    if is_watched(system) and (is_traced(code) or is_stuck(code.item())):
         code = _explained(moving, outcome.final_time, final, code, outcome.fault)
     return KaneTrajectory(
         time=outcome.time,
@@ -220,6 +236,15 @@ def simulate(
         method=method,
         why=why,
     )
+
+
+def _refused(
+    system: KaneSystem, times: Array, start: KaneState, rtol: Any
+) -> Examined | None:
+    """What was looked at of a start; refused are those that determine no motion."""
+    seen = refuse_start(system, times[0], start, rtol)
+    refuse_jumps(system, times, start)
+    return seen
 
 
 @for_one_call

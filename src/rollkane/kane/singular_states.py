@@ -15,6 +15,7 @@ from .equations import Reduced, reduced
 from .implied_rows import Followed, followed_along, refuse_lost
 from .linear_solves import SINGULAR
 from .system import KaneState, KaneSystem
+from .system_arguments import refuse_all
 
 
 class Examined(NamedTuple):
@@ -137,6 +138,7 @@ def refuse(
     if eliminated:
         refuse_bound(system, found.held, where)
     _refuse_undetermined(system, found, where)
+    refuse_all(system.dependent, system.speeds)
     _refuse_parallel(system, found, where)
     _refuse_singular(system, found, where)
     refuse_lost(system, found.implied, loose, where)
@@ -168,9 +170,11 @@ def _refuse_parallel(system: KaneSystem, found: Examined, where: str) -> None:
     if not _least_moment(M) > 0.0:
         return  # is refused for that
     C = np.asarray(found.by_speeds, float)[:, : M.shape[0]]
+    many = C.shape[0] > C.shape[1]  # which cannot all be independent
     by_mass = np.linalg.solve(np.linalg.cholesky(M), C.T)
     rows = by_mass / np.linalg.norm(by_mass, axis=0)
-    if np.isfinite(rows).all() and np.linalg.svd(rows)[1][-1] > NEAR:
+    finite = np.isfinite(rows).all()
+    if finite and not many and np.linalg.svd(rows)[1][-1] > NEAR:
         return
     raise FieldError(
         "KaneSystem.constraints",

@@ -26,6 +26,7 @@ from .system_arguments import (
     in_a_row,
     names_of_rows,
     one_each,
+    refuse_no_rows,
 )
 
 # What a user gives for numbers: one, an array, sequences of them.
@@ -216,7 +217,7 @@ class KaneSystem(eqx.Module):
         self.implied = one_each(
             motion, "implied", implied, "implied_names", self.implied_names
         )
-        _refuse_speeds(self, configuration, *example)
+        _refuse_rows(self, (constraints, configuration), *example)
 
     def more(self, t: Array, q: Array, u: Array) -> Any:
         """What the functions get behind (t, q, u)."""
@@ -267,10 +268,13 @@ class KaneState(eqx.Module):
     u: Float[Array, " m"]
 
 
-def _refuse_speeds(
-    system: KaneSystem, given: Any, t: Array, q: Array, u: Array
+def _refuse_rows(
+    system: KaneSystem, rows: tuple[Any, Any], t: Array, q: Array, u: Array
 ) -> None:
-    """Refuse a configuration that looks at the speeds, whatever their numbers are."""
+    """Refuse constraints without a row, and a configuration that looks at speeds."""
+    constraints, given = rows
+    if system.constraints is not None:
+        refuse_no_rows(system.constraint_count, constraints)
     wrapped = system.configuration
     if wrapped is None:
         return

@@ -57,6 +57,27 @@ def chosen_numbers(
     return chosen
 
 
+def refuse_all(dependent: tuple[int, ...], speeds: int) -> None:
+    """Refuse dependent speeds beside which there are no others."""
+    if len(dependent) < speeds:
+        return
+    raise FieldError(
+        "KaneSystem.dependent",
+        dependent,
+        f"are all {speeds} speeds, and none is left whose equation could be solved",
+        "give dependent=None, by which all that moves may be driven, or leave out a "
+        "constraint",
+    )
+
+
+def refuse_no_rows(count: int, constraints: object) -> None:
+    """Refuse constraints by multipliers of which there is none."""
+    if count:
+        return
+    problem, remedy = "returns no rows", "leave it out, and dependent=None, too"
+    raise FieldError("KaneSystem.constraints", constraints, problem, remedy)
+
+
 def bound_by(
     motion: Wrap,
     name: str,

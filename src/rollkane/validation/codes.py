@@ -88,7 +88,7 @@ _REASONS = {
     Code.DEPENDENT_SPEEDS: "the constraints do not determine the speeds that were "
     "chosen as dependent here, and no equations of the others are left: the motion up "
     "to here is right; choose other dependent speeds, or dependent=None, by which a "
-    "motion passes such a place",
+    "motion passes unless constraints come to follow from each other here",
     Code.INTERRUPTED: "interrupted: what was reached until then is kept",
 }
 
