@@ -14,16 +14,17 @@ row adds to the others is a length without a sign: a step that looks at no such 
 goes across, on the motion that it came by, and rates are NaN where one looks.
 """
 
-from collections.abc import Callable
+import dataclasses
 from typing import Any, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..codegen.compile_effort import for_few_operations
+from ..codegen.compile_effort import for_few_operations, stays_as_it_is
+from ..validation.checks import is_traced
+from ..validation.remembered import remembered
 from .closure import kept
 from .linear_solves import determinant, next_to
 from .system import KaneState, KaneSystem
@@ -46,6 +47,7 @@ _TURNS = 0.1
 _SQUARES = 10.0
 # How near to either a run is stuck: steps of the clock, 1e-14 of it, are far below
 _THERE = 1e-3
+_KEPT = 16  # motions of a system
 
 
 def on_its_side(
@@ -148,8 +150,29 @@ def of_side(system: KaneSystem, side: Any) -> KaneSystem:
     """A system with constraints as a motion's; others as they are."""
     if not is_watched(system):
         return system
-    alone: Callable[[object], bool] = lambda x: x is None
-    return eqx.tree_at(lambda s: s.side, system, side, is_leaf=alone)
+    if is_traced(side):
+        return _with(system, side)
+    known, key = _of_sides(system), np.asarray(side).tobytes()
+    if key not in known:
+        if len(known) >= _KEPT:
+            known.clear()
+        known[key] = _with(system, side)
+    return known[key]
+
+
+@remembered(stays_as_it_is)
+def _of_sides(system: KaneSystem) -> dict[bytes, KaneSystem]:
+    """A system's motions: of the same one what was looked up before is known."""
+    del system
+    return {}
+
+
+def _with(system: KaneSystem, side: Any) -> KaneSystem:
+    found = object.__new__(type(system))  # eqx.tree_at takes a millisecond
+    for field in dataclasses.fields(system):
+        own = side if field.name == "side" else getattr(system, field.name)
+        object.__setattr__(found, field.name, own)
+    return found
 
 
 def with_as_many_numbers(system: KaneSystem) -> KaneSystem:

@@ -6,7 +6,7 @@ speeds that stay as they were (the independent ones, whichever were chosen) woul
 those of no motion. Velocities are compared on both sides, at the start's coordinates.
 """
 
-from typing import Any, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +81,7 @@ def _velocities(
         u = speeds_of(system, partials, state.u).u
         return u, [*partials.at("points", u), *partials.at("turnings", u)]
 
-    return cast(Any, jax.vmap(jax.vmap(at))(sides))
+    return jax.vmap(jax.vmap(at))(sides)
 
 
 def _jump(values: Array, kinks: np.ndarray) -> tuple[float, float]:
