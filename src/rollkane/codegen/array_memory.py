@@ -115,16 +115,22 @@ class Arrays:
         self.writer = writer
         self._loops = itertools.count()
         self._known: dict[tuple[np.dtype, bytes], str] = {}
+        # writes statements that read no memory
+        self.ahead: Callable[[list[str]], None] = lambda x: writer.block.lines.extend(x)
 
     def new(self, shape: tuple[int, ...], kind: str) -> Memory:
         """Memory for an array, of which this is the only name."""
         place = self.writer.place(math.prod(shape))
         return Memory(place, kind, shape, packed(shape), owned=True)
 
+    def index(self) -> str:
+        """A name for the index of a loop."""
+        return f"i{next(self._loops)}"
+
     @contextmanager
     def loops(self, shape: tuple[int, ...]) -> Generator[Index, None, None]:
         """A loop over each axis; gives the indices, in C."""
-        names = [f"i{next(self._loops)}" for _ in shape]
+        names = [self.index() for _ in shape]
         heads = [
             f"for (long {i} = 0; {i} < {n}; {i}++)"
             for i, n in zip(names, shape, strict=True)
@@ -142,8 +148,7 @@ class Arrays:
             name = self.writer.table(texts)
             return Memory(name, kind, numbers.shape, packed(numbers.shape))
         to = self.new(numbers.shape, kind)
-        for i, x in enumerate(flat):
-            self.writer.line(f"{to.base}[{i}] = {in_c(x).text};")
+        self.ahead([f"{to.base}[{i}] = {in_c(x).text};" for i, x in enumerate(flat)])
         return to
 
     def known(self, array: np.ndarray) -> Memory:

@@ -1,7 +1,7 @@
 """What operations of a traced program are to arrays in memory."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from .array_memory import Index, Look, Memory
 from .data_movement import sliced
 from .jaxpr_types import Aval, Equation, Params
 from .memory_walk import MemoryWalk, Value
+from .row_loops import Place, Read
 from .scalar_program import ELEMENTWISE, REDUCTIONS, Axes, NotElementwiseError
 from .scalars import Number, in_c
 from .whole_numbers import type_of
@@ -79,12 +80,21 @@ def _elementwise(
         else:
             operands.append(x.reshape(-1)[0])
     to = walk.arrays.new(shape, kind)
+    places = [x for x in operands if isinstance(x, Memory)]
+
+    def value(numbers: Sequence[Number]) -> Any:
+        taken = iter(numbers)
+        given = [next(taken) if isinstance(x, Memory) else x for x in operands]
+        return walk.operation(name, params, given, aval.dtype)
+
+    if walk.rows.fit(to):
+        same: Callable[[Place], list[Place]] = lambda at: [at]
+        alone: Callable[[list[Number]], Any]
+        alone = lambda x: walk.operation("copy", {}, [value(x)], aval.dtype)
+        walk.rows.fill(to, [Read(x, same) for x in places], alone)
+        return to
     with walk.arrays.loops(shape) as index:
-        given = [
-            walk.arrays.number_at(x, index) if isinstance(x, Memory) else x
-            for x in operands
-        ]
-        found = walk.operation(name, params, given, aval.dtype)
+        found = value([walk.arrays.number_at(x, index) for x in places])
         walk.writer.line(f"{to.at(index)} = {in_c(found).text};")
     return to
 
@@ -106,6 +116,9 @@ def _reduced(walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval) -> 
     kind, along = type_of(aval.dtype), tuple(x.shape[k] for k in axes)
     first = (0,) * len(axes)
     to = arrays.new(aval.shape, kind)
+    if 0 not in axes and walk.rows.fit(to) and walk.rows.fit(x):
+        _reduced_rows(walk, name, x, axes, aval, to)
+        return to
     with arrays.loops(aval.shape) as kept:
         begun = arrays.number_at(x, _joined_index(kept, first, axes))
         none = aval.dtype.type(_NONE[name]) if name in _NONE else begun
@@ -116,6 +129,28 @@ def _reduced(walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval) -> 
             walk.writer.line(f"{total.text} = {in_c(found).text};")
         walk.writer.line(f"{to.at(kept)} = {total.text};")
     return to
+
+
+def _reduced_rows(
+    walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval, to: Memory
+) -> None:
+    """The same within rows, by the same operations."""
+    within, kind = [k - 1 for k in axes], type_of(aval.dtype)
+    along = [x.shape[k] for k in axes]
+
+    def places(kept: Place) -> list[Place]:
+        each = (_joined_index(kept, index, within) for index in np.ndindex(*along))
+        return cast("list[Place]", list(each))
+
+    def value(numbers: Sequence[Number]) -> Any:
+        total: Any = numbers[0]
+        if name in _NONE:
+            total = Number(in_c(aval.dtype.type(_NONE[name])).text, kind)
+        for one in numbers:
+            total = walk.operation(name, {}, [total, one], aval.dtype)
+        return total
+
+    walk.rows.fill(to, [Read(x, places)], value)
 
 
 def _view(walk: MemoryWalk, x: Memory, function: Look) -> Memory:
@@ -182,8 +217,13 @@ def _laid(walk: MemoryWalk, stored: list[Memory], axis: int, aval: Aval) -> Memo
         part = [slice(None)] * len(aval.shape)
         part[axis] = slice(first, first + x.shape[axis])
         here = tuple(part)
-        if x.size:
-            walk.arrays.copied(x, to.looked_at(lambda a, here=here: a[here]))
+        if not x.size:
+            continue
+        place = to.looked_at(lambda a, here=here: a[here])
+        if walk.rows.fit(place) and not (x.is_packed and place.is_packed):
+            walk.rows.fill(place, [Read(x, lambda at: [at])], lambda given: given[0])
+        else:
+            walk.arrays.copied(x, place)
         first += x.shape[axis]
     return to
 

@@ -14,6 +14,7 @@ from .array_memory import Arrays, Memory
 from .data_movement import numbers_of
 from .fused import Products
 from .jaxpr_types import Params
+from .row_loops import RowLoops
 from .scalar_program import NotElementwiseError, Walk
 from .scalars import Number, expression, in_c
 from .statement_writer import Writer, stays
@@ -33,6 +34,7 @@ class MemoryWalk(Walk):
         small: Numbers of an array that are written one by one.
         writer: What is written.
         arrays: Its arrays in memory.
+        rows: Loops over rows of these.
     """
 
     def __init__(self, dtype: DTypeLike):
@@ -42,6 +44,7 @@ class MemoryWalk(Walk):
         self.dtype = np.dtype(dtype)
         self.writer = Writer()
         self.arrays = Arrays(self.writer)
+        self.rows = RowLoops(self.arrays)
         self._products = Products()
 
     def _operate(

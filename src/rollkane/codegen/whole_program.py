@@ -20,6 +20,7 @@ from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Aval, Jaxpr
 from .memory_walk import SMALL, Value
 from .platforms import platform
+from .row_loops import without_lost_writes
 from .scalar_program import NotElementwiseError
 from .scalars import in_c
 from .statement_writer import Writer, part
@@ -271,7 +272,7 @@ def _texts(writer: Writer, given: int, left: int) -> list[str]:
     ]
     body = "\n".join(writer.block.lines)
     run = f"static void run(const Frame *frame) {{\n{body}\n}}"
-    groups = _in_groups([*writer.functions, run])
+    groups = _in_groups(without_lost_writes([*writer.functions, run]))
     return ["\n".join(x) for x in (head, *groups)]
 
 
