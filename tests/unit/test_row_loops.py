@@ -47,6 +47,16 @@ def test_a_function_of_each_row_is_one_loop():
     assert loops_of(heights, *arguments) == 1
 
 
+def test_long_rows_are_looped_over_together():
+    def along(x):
+        y = jnp.sin(x) * x
+        return jnp.where(y > 0.3, y - x, 2.0 * x + 0.1)
+
+    wide = MANY[:, None] * jnp.linspace(0.5, 1.0, 9)[None, :, None]
+    agrees(along, wide)
+    assert loops_of(along, wide) == 1
+
+
 def test_sums_and_greatest_numbers_of_rows_are_of_the_same_loop():
     def of_rows(x):
         y = x * x + 0.5

@@ -6,7 +6,7 @@ is the same memory, unless it may be changed in place.
 
 import itertools
 import math
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
@@ -100,6 +100,11 @@ def packed(shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(reversed(list(behind)))[: len(shape)]
 
 
+def heads_of(loops: Iterable[tuple[int | str, int]]) -> list[str]:
+    """Heads of loops, by their indices and how often; none of those that are known."""
+    return [f"for (long {i} = 0; {i} < {n}; {i}++)" for i, n in loops if i != 0]
+
+
 def value_of(text: str, kind: str) -> str:
     """A number that lies in memory, with its type."""
     if kind == "truth":
@@ -123,21 +128,15 @@ class Arrays:
         place = self.writer.place(math.prod(shape))
         return Memory(place, kind, shape, packed(shape), owned=True)
 
-    def index(self) -> str:
-        """A name for the index of a loop."""
-        return f"i{next(self._loops)}"
+    def index(self, shape: tuple[int, ...]) -> Index:
+        """Names for the indices of loops along axes; 0 where that is all."""
+        return tuple(0 if n == 1 else f"i{next(self._loops)}" for n in shape)
 
     @contextmanager
     def loops(self, shape: tuple[int, ...]) -> Generator[Index, None, None]:
         """A loop over each axis; gives the indices, in C."""
-        names = [self.index() for _ in shape]
-        heads = [
-            f"for (long {i} = 0; {i} < {n}; {i}++)"
-            for i, n in zip(names, shape, strict=True)
-            if n != 1
-        ]
-        index = tuple(0 if n == 1 else i for i, n in zip(names, shape, strict=True))
-        with self.writer.braces(" ".join(heads)):
+        index = self.index(shape)
+        with self.writer.braces(" ".join(heads_of(zip(index, shape, strict=True)))):
             yield index
 
     def stored(self, numbers: Numbers, kind: str) -> Memory:

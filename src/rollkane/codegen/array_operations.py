@@ -80,22 +80,16 @@ def _elementwise(
         else:
             operands.append(x.reshape(-1)[0])
     to = walk.arrays.new(shape, kind)
-    places = [x for x in operands if isinstance(x, Memory)]
+    same: Callable[[Place], list[Place]] = lambda at: [at]
 
     def value(numbers: Sequence[Number]) -> Any:
         taken = iter(numbers)
         given = [next(taken) if isinstance(x, Memory) else x for x in operands]
-        return walk.operation(name, params, given, aval.dtype)
+        found = walk.operation(name, params, given, aval.dtype)
+        return walk.operate("copy", {}, [found], aval.dtype)
 
-    if walk.rows.fit(to):
-        same: Callable[[Place], list[Place]] = lambda at: [at]
-        alone: Callable[[list[Number]], Any]
-        alone = lambda x: walk.operation("copy", {}, [value(x)], aval.dtype)
-        walk.rows.fill(to, [Read(x, same) for x in places], alone)
-        return to
-    with walk.arrays.loops(shape) as index:
-        found = value([walk.arrays.number_at(x, index) for x in places])
-        walk.writer.line(f"{to.at(index)} = {in_c(found).text};")
+    reads = [Read(x, same) for x in operands if isinstance(x, Memory)]
+    walk.rows.fill(to, reads, value)
     return to
 
 
@@ -116,7 +110,8 @@ def _reduced(walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval) -> 
     kind, along = type_of(aval.dtype), tuple(x.shape[k] for k in axes)
     first = (0,) * len(axes)
     to = arrays.new(aval.shape, kind)
-    if 0 not in axes and walk.rows.fit(to) and walk.rows.fit(x):
+    outer = walk.rows.axes(x.shape)
+    if outer == walk.rows.axes(to.shape) and all(k >= outer for k in axes):
         _reduced_rows(walk, name, x, axes, aval, to)
         return to
     with arrays.loops(aval.shape) as kept:
@@ -135,7 +130,8 @@ def _reduced_rows(
     walk: MemoryWalk, name: str, x: Memory, axes: Axes, aval: Aval, to: Memory
 ) -> None:
     """The same within rows, by the same operations."""
-    within, kind = [k - 1 for k in axes], type_of(aval.dtype)
+    within = [k - walk.rows.axes(x.shape) for k in axes]
+    kind = type_of(aval.dtype)
     along = [x.shape[k] for k in axes]
 
     def places(kept: Place) -> list[Place]:
@@ -220,7 +216,7 @@ def _laid(walk: MemoryWalk, stored: list[Memory], axis: int, aval: Aval) -> Memo
         if not x.size:
             continue
         place = to.looked_at(lambda a, here=here: a[here])
-        if walk.rows.fit(place) and not (x.is_packed and place.is_packed):
+        if not (x.is_packed and place.is_packed):
             walk.rows.fill(place, [Read(x, lambda at: [at])], lambda given: given[0])
         else:
             walk.arrays.copied(x, place)

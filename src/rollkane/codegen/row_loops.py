@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .array_memory import Arrays, Memory, value_of
+from .array_memory import Arrays, Index, Memory, heads_of, value_of
 from .scalars import Number, in_c
 from .statement_writer import Block
 
@@ -38,13 +38,13 @@ class _RowLoop:
         start: Of its lines there.
         end: Behind them.
         body: What it repeats.
-        count: How many rows.
+        count: How many rows, along each of its axes.
         index: Of a row, in C.
         known: Numbers, by the text of the places in memory that hold them.
         written: Arrays that it writes.
     """
 
-    def __init__(self, block: Block, count: int, index: str):
+    def __init__(self, block: Block, count: Place, index: Index):
         """An empty one, behind what stands there."""
         self.block, self.start, self.end = block, len(block.lines), len(block.lines)
         self.body, self.count, self.index = Block(), count, index
@@ -58,15 +58,15 @@ class _RowLoop:
     def has(self, read: list[tuple[Memory, Place]]) -> bool:
         """Whether it can read this: of arrays that it writes, what it has written."""
         return all(
-            x.base not in self.written or x.at((self.index, *at)) in self.known
+            x.base not in self.written or x.at((*self.index, *at)) in self.known
             for x, at in read
         )
 
     def put(self) -> None:
         """Write it down, in place of what it was."""
-        i = self.index
-        head = f"for (long {i} = 0; {i} < {self.count}; {i}++) {{"
-        self.block.lines[self.start :] = [head, *self.body.lines, "}"]
+        pairs = zip(self.index, self.count, strict=True)
+        heads = " ".join(heads_of(pairs))
+        self.block.lines[self.start :] = [f"{heads} {{", *self.body.lines, "}"]
         self.block.named |= self.body.named
         self.end = len(self.block.lines)
 
@@ -81,10 +81,10 @@ class RowLoops:
         arrays.ahead = self._ahead
 
     @staticmethod
-    def fit(array: Memory) -> bool:
-        """Whether an array has several rows, and short ones."""
-        rows, *row = array.shape or (1,)
-        return rows > 1 and math.prod(row) <= _SHORT
+    def axes(shape: tuple[int, ...]) -> int:
+        """Along how many axes of an array there are rows: the others are short."""
+        behind = (k for k in range(1, len(shape)) if math.prod(shape[k:]) <= _SHORT)
+        return next(behind, len(shape))
 
     def fill(
         self, to: Memory, reads: Sequence[Read], value: Callable[[list[Number]], Any]
@@ -92,34 +92,35 @@ class RowLoops:
         """Write an array that nothing has read yet.
 
         Args:
-            to: Of short rows.
+            to: The array.
             reads: What each of its numbers is a function of.
             value: The function. Memory has no products to be fused with sums: what it
                 gives is none either.
         """
-        writer, places = self._arrays.writer, list(np.ndindex(to.shape[1:]))
+        writer, axes = self._arrays.writer, self.axes(to.shape)
+        places = list(np.ndindex(to.shape[axes:]))
         read = [[(r.array, at) for r in reads for at in r.places(p)] for p in places]
-        loop = self._loop(to.shape[0], read)
+        loop = self._loop(to.shape[:axes], read)
         with writer.reopened(loop.body):
             for place, own in zip(places, read, strict=True):
                 found = in_c(value([self._number(loop, *one) for one in own]))
-                text = to.at((loop.index, *place))
+                text = to.at((*loop.index, *place))
                 writer.line(f"{text} = {found.text};")
                 loop.known[text] = Number(found.text, to.type)
         loop.written.add(to.base)
         loop.put()
         self._last = loop
 
-    def _loop(self, count: int, read: list[list[tuple[Memory, Place]]]) -> _RowLoop:
+    def _loop(self, count: Place, read: list[list[tuple[Memory, Place]]]) -> _RowLoop:
         """Over as many rows: the last one, where that can go on."""
         last, block = self._last, self._arrays.writer.block
         alike = last is not None and last.is_last(block) and last.count == count
         if last is not None and alike and all(map(last.has, read)):
             return last
-        return _RowLoop(block, count, self._arrays.index())
+        return _RowLoop(block, count, self._arrays.index(count))
 
     def _number(self, loop: _RowLoop, array: Memory, place: Place) -> Number:
-        text = array.at((loop.index, *place))
+        text = array.at((*loop.index, *place))
         if text not in loop.known:
             read = value_of(text, array.type)
             loop.known[text] = self._arrays.writer.let(read, array.type, True)
