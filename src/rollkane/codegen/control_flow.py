@@ -29,7 +29,7 @@ from .loop_carry import Carry
 from .loop_invariants import invariants
 from .memory_walk import SMALL, MemoryWalk, Value, kept
 from .new_programs import pruned
-from .scalar_program import NotElementwiseError
+from .scalar_program import ELEMENTWISE, NotElementwiseError
 from .scalars import Number, in_c
 from .shared_calls import SharedCalls
 from .statement_writer import Block, Target
@@ -144,6 +144,10 @@ class Structured(MemoryWalk):
     def results(self, equation: Equation, inputs: list[Value]) -> list[Value]:
         """What one equation gives."""
         name = equation.primitive.name
+        if name in ELEMENTWISE and not _has_large(equation):  # most of them
+            out = equation.outvars[0].aval
+            how = name, equation.params
+            return [self.elementwise(*how, inputs, out.shape, out.dtype)]
         if name in _AGAIN:
             return self.through(equation.params["jaxpr"], [], inputs)
         if name in ("optimization_barrier", "copy_p"):
