@@ -103,3 +103,25 @@ def test_flights_end_where_their_base_does(base, place, velocity, end):
     assert int(run.switches.count) == 0
     if end is not None:
         np.testing.assert_allclose(run.final_time, end, rtol=0, atol=CLOSE)
+
+
+def test_nothing_is_hit_behind_the_rim_of_a_dome():
+    """A ball bounced 5 mm above nothing, where the meridian would go on."""
+    ball = rk.Body(1.0, 0.4 * 0.05**2 * np.eye(3), rk.Sphere(0.05))
+    rim, modes = 0.72, rk.Modes(friction=0.4, restitution=0.5)
+    dome = rk.Revolution(
+        lambda s: jnp.stack([s, 0.3 * jnp.exp(-((s / 0.4) ** 2))]), domain=(0.0, rim)
+    )
+    scene = rk.Scene(ball, rk.Base(dome))
+
+    def thrown(speed):  # too fast for the top: it flies from there
+        start = rk.place(scene, LEVEL, (0.0, speed / 0.05, 0.0), (0.0, 0.0, 0.3))
+        return rk.simulate(scene, start, [0.0, 0.3], modes=modes)
+
+    # at 2.95 m/s it lands at 0.708 m, then at 0.723 to 0.744 m, and at 3.2 nowhere
+    runs = jax.jit(jax.vmap(thrown))(jnp.array([2.95, 3.0, 3.025, 3.05, 3.075, 3.2]))
+    places = np.linalg.norm(runs.switches.state.contact_on_base, axis=-1)
+    assert np.nanmax(places) < rim
+    edge, done = int(rk.Code.SURFACE_EDGE), int(rk.Code.COMPLETED)
+    assert runs.code.tolist() == [done, edge, edge, edge, edge, done]
+    assert runs.switches.count.tolist() == [2, 1, 1, 1, 1, 1]

@@ -251,6 +251,26 @@ def passes_an_end(scene: Scene, t: Float[Array, ""], state: FlyingState) -> Arra
     return over >= -at_precision(_PAST, over) * rim
 
 
+def off_an_end(scene: Scene, state: FlyingState) -> Bool[Array, ""] | bool:
+    """Whether a nearest point is on what continues its surface beyond an end.
+
+    A meridian, for one, goes on behind the rim, where there is nothing to land on.
+
+    Args:
+        scene: What flies over what.
+        state: With its nearest points.
+    """
+    off: Bool[Array, ""] | bool = False
+    places = [(scene.base.surface, state.contact_on_base)]
+    if scene.has_contact_coordinates:
+        places.append((scene.body.surface, state.contact_on_body))
+    for surface, place in places:
+        left = surface.extent(place)
+        if left is not None:
+            off = off | (left < 0.0)
+    return off
+
+
 def places_of(state: FlyingState) -> Places:
     """Coordinates of a state's nearest points, on base and body."""
     return state.contact_on_base, state.contact_on_body

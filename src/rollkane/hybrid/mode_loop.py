@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from ..dynamics.clearance import depth_of_touch
 from ..dynamics.directed_friction import begins
 from ..dynamics.nearest_on_face import faces, has_face
+from ..dynamics.nearest_points import off_an_end
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
 from ..integration.longest_step import LEAST_STEPS
@@ -61,11 +62,11 @@ class Loop(Trials):
         verdict = self.judged(c, tried)
         kind, at, end = verdict.kind, c.place, tried.end
         slid, after = self._behind(at, tried, verdict)
-        falls_flat = verdict.event & self.lies_on_face(at, tried)
-        lost = verdict.event & ~falls_flat & ~jnp.all(jnp.isfinite(pack(after.y)))
+        ends_off = verdict.event & self.lands_off_surfaces(at, tried)
+        lost = verdict.event & ~ends_off & ~jnp.all(jnp.isfinite(pack(after.y)))
         jammed = lost & self.motion.jams(after.y)
         # where nothing follows the run ends on the event, as it came there
-        ends = falls_flat | lost
+        ends = ends_off | lost
         event = verdict.event & ~ends
         after = picked(ends, Place(tried.t, end.y, at.mode, at.direction), after)
         full = event & (c.path.switches.count >= self.motion.modes.switches)
@@ -93,7 +94,7 @@ class Loop(Trials):
             row = tried.t, following.t, jnp.where(event, kind, -1), value, shown
             record = record.after(accept, row, following, happens, slid)
         code = jnp.where(full, Code.TOO_MANY_SWITCHES, c.code)
-        code = self._code(c, tried, code, verdict.stuck, lost, falls_flat)
+        code = self._code(c, tried, code, verdict.stuck, lost, ends_off)
         code = jnp.where(jammed, self.motion.code_of_jam, code)
         values = self.values_after(c, end.values, event, after, verdict.blinks)
         path = c.path.after(shown, happens, at.mode, *after)
@@ -217,12 +218,20 @@ class Loop(Trials):
         deep = tried.end.values[0] < -depth_of_touch(self.reach)
         return (c.place.mode == Mode.FLYING) & begins & deep
 
-    def lies_on_face(self, at: Place, tried: Tried) -> Array | bool:
-        """Whether a flight ends with the face of the body on the base, not its rim."""
+    def lands_off_surfaces(self, at: Place, tried: Tried) -> Array | bool:
+        """Whether a flight ends where no surface is: on a face, or behind a rim.
+
+        The face of the body would come to lie on the base, not its rim; and behind the
+        end of a meridian is only what would continue it.
+        """
         scene = self.motion.scenes.flying
-        if self.reach is None or not has_face(scene):
+        if self.reach is None:
             return False
-        return (at.mode == Mode.FLYING) & faces(scene, tried.t, tried.end.y.flying())
+        state = tried.end.y.flying()
+        off = off_an_end(scene, state)
+        if has_face(scene):
+            off = off | faces(scene, tried.t, state)
+        return (at.mode == Mode.FLYING) & off
 
     def _code(
         self,
@@ -231,12 +240,12 @@ class Loop(Trials):
         code: Array,
         stuck: Bool[Array, ""],
         lost: Bool[Array, ""],
-        falls_flat: Bool[Array, ""],
+        ends_off: Bool[Array, ""],
     ) -> Array:
         """Why a run ends here: as it was, unless a step or what follows it fails."""
         code = jnp.where(stuck, Code.STEP_TOO_SMALL, code)
         code = jnp.where(lost, self.code_of_loss(c.place.mode), code)
-        code = jnp.where(falls_flat, Code.SURFACE_EDGE, code)
+        code = jnp.where(ends_off, Code.SURFACE_EDGE, code)
         deep = (stuck | lost) & self.lifts_into_its_base(c, tried)
         return jnp.where(deep, Code.SECOND_CONTACT, code)
 

@@ -103,7 +103,8 @@ class Revolution(AbstractPointSurface):
                 is its lower side); True lets the other body roll within.
 
         A contact that comes to the rim of a meridian with one pole (a cup) ends a run
-        with ``Code.SURFACE_EDGE``.
+        with ``Code.SURFACE_EDGE``, and so does a flight that comes to what would go on
+        behind it.
 
         Raises:
             FieldError: profile of another signature or result; ends of the meridian
