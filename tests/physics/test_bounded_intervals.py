@@ -126,7 +126,11 @@ def test_draws_of_a_number_with_a_bound_are_within_it(below):
 @pytest.mark.parametrize(
     ("below", "up"),
     # errors below the one's bound, and of the other's bound above its estimate
-    [(0.5, 0.5), (-1.0, -1.0), (8.0, 6.0)],
+    [
+        (0.5, 0.5),
+        pytest.param(-1.0, -1.0, marks=pytest.mark.slow),
+        pytest.param(8.0, 6.0, marks=pytest.mark.slow),
+    ],
 )
 def test_draws_of_two_numbers_with_bounds_are_of_their_joint_distribution(below, up):
     """What is left to the second counts for the first: by quadrature of its density."""

@@ -10,6 +10,8 @@ from rollkane import kane
 from rollkane.kane.linear_solves import determinant
 from rollkane.validation.checks import FieldError
 
+from ..quick import slow_but
+
 MASS, INERTIA, BEHIND = 2.0, 0.3, 0.2
 HEADING, AHEAD, TURN = 0.3, 1.0, 2.0  # at the start [rad], [m/s], [rad/s]
 TIMES = np.linspace(0.0, 3.0, 31)  # it heads along y after 1.23 s
@@ -191,7 +193,7 @@ def test_determinants_are_those_of_numpy(size):
         assert found == pytest.approx(wanted, abs=1e2 * np.finfo(float).eps * scale)
 
 
-@pytest.mark.parametrize("count", [2, 7, pytest.param(15, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", slow_but([2], [2, 7, 15]))
 def test_chains_of_many_dependent_speeds_go_on(count):
     """Two speeds a link follow from the angles' rates; rows of any size."""
 

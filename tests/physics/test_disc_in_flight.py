@@ -9,6 +9,8 @@ from scipy.optimize import minimize_scalar
 import rollkane as rk
 from rollkane.geometry.rotations import rotation_matrix
 
+from ..quick import slow_but
+
 A, BALL, FROM = 0.4, 1.0, 0.4  # m: of the disc, of a base, its height
 DISC = rk.Body(1.0, np.diag([0.04, 0.04, 0.08]), rk.DiscEdge(A))
 STILL = (0.0, 0.0, 0.0)
@@ -37,7 +39,7 @@ def ended(run, drop):
     assert np.isnan(run.position[run.time > wanted]).all()
 
 
-@pytest.mark.parametrize("method", ["native", "diffrax"])
+@pytest.mark.parametrize("method", slow_but(["native"], ["native", "diffrax"]))
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 def test_a_disc_that_falls_on_a_ball_with_its_face_ends_there(tilt, method):
     """Where its plane is the radius away from the ball's centre."""

@@ -127,9 +127,10 @@ def test_a_guess_without_neighbours_is_refused():
     ("radius", "inside", "growth"),
     [
         (0.2, False, np.sqrt(5 / 7 * G / 0.24)),
-        pytest.param(0.05, True, 0.0, marks=pytest.mark.slow),
+        (0.05, True, 0.0),
     ],
 )
+@pytest.mark.slow
 def test_a_ball_on_a_small_sphere_and_in_a_small_bowl(radius, inside, growth):
     """Balanced on a sphere it falls with sqrt(5 g / 7 (R + r)), in a bowl it swings."""
     own = radius / 5.0

@@ -110,6 +110,7 @@ def test_members_of_a_batch_end_alone():
     assert np.isfinite(runs.q[0]).all()
 
 
+@pytest.mark.slow
 def test_loops_of_which_one_parts_among_many():
     """What one row adds to the others is asked for, not a product of all."""
     count = 5

@@ -40,7 +40,9 @@ def test_every_built_in_scene_runs_natively(name):
     ("how", "why"),
     [
         ({"method": "diffrax"}, "was chosen"),
-        ({"solver": dfx.Kvaerno5()}, "Kvaerno5 is none of"),
+        pytest.param(
+            *({"solver": dfx.Kvaerno5()}, "Kvaerno5 is none of"), marks=pytest.mark.slow
+        ),
         ({"solver": dfx.Tsit5(), "adjoint": dfx.DirectAdjoint()}, "adjoint goes by"),
         ({"saveat": dfx.SaveAt(t1=True)}, "saveat goes by"),
         ({"stepsize_controller": dfx.ConstantStepSize(), "dt0": 0.01}, "stepsize_c"),

@@ -16,7 +16,12 @@ NAMES = list(CHARTS)
 # every surface rolls on another one, and another rolls on it
 PAIRS = [(a, NAMES[(k + 7) % len(NAMES)]) for k, a in enumerate(NAMES)]
 REST = [(a, b) for a in NAMES for b in NAMES if (a, b) not in PAIRS]
-ALL = PAIRS + [pytest.param(*pair, marks=pytest.mark.slow) for pair in REST]
+LONG = [("cylinder", "implicit"), ("implicit", "sphere")]
+SLOW = [*LONG, *REST]
+ALL = [
+    pytest.param(*pair, marks=pytest.mark.slow) if pair in SLOW else pair
+    for pair in PAIRS + REST
+]
 W, TURNED = np.array([0.8, -0.6, 1.1]), np.array([0.3, 0.5, -0.2])
 SLIP = np.array([0.2, -0.1, 0.3])
 ANGLE = 0.7

@@ -118,7 +118,11 @@ def placed_near(base, seed, least):
 
 
 @pytest.mark.parametrize("base", slow_but(["a ball", "a tyre"], FAR))
-@pytest.mark.parametrize("body", [rk.Torus(0.4, 0.12), EGG], ids=["torus", "egg"])
+@pytest.mark.parametrize(
+    "body",
+    [rk.Torus(0.4, 0.12), pytest.param(EGG, marks=pytest.mark.slow)],
+    ids=["torus", "egg"],
+)
 def test_gap_is_that_of_the_nearest_of_all_places(body, base):
     """Of bodies anywhere near a base, beside distances of many of their points.
 

@@ -124,6 +124,7 @@ def test_samples_all_the_same_have_a_mixture(heavy):
     assert np.isfinite(mixture.log_ratio(mixture.draw(100, rng))).all()
 
 
+@pytest.mark.slow
 def test_intervals_cover():
     """Of 60 intervals of 95 %, 57 expected; three deviations are 5.1."""
     model, threshold, probability = CASES["two"]

@@ -200,6 +200,7 @@ def test_what_is_told_of_flights():
     assert "assumes that it can" not in text
 
 
+@pytest.mark.slow
 def test_a_run_that_only_flies():
     """It left its base at once, and nothing did work on it."""
     text = told(thrown_disc())
@@ -244,6 +245,7 @@ def test_a_base_that_moves_and_what_is_carried():
     assert re.search(r"carried mass [\d.e-]+ m from its start at most", text)
 
 
+@pytest.mark.slow
 def test_the_farthest_of_several_masses():
     """Of two pendulums at rest, one is let go from the horizontal: by 2 r sin(90/2)."""
 
@@ -317,6 +319,7 @@ def test_an_end_between_outputs_is_told():
         jax.tree.map(lambda x: jnp.stack([x, x]), run).with_its_end()
 
 
+@pytest.mark.slow
 def test_the_path_of_an_inner_contact():
     """A circle in a hundred chords; in a scene it is told of each rolling body."""
     angle = np.linspace(0.0, 2 * np.pi, 101)
