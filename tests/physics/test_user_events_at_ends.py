@@ -208,3 +208,29 @@ def test_an_event_that_a_landing_makes_has_no_derivative():
     _, pull = jax.vjp(times_of, jnp.asarray(0.5))
     rows = [pull(row)[0] for row in jnp.eye(4)]
     np.testing.assert_allclose(rows, known, rtol=1e-10)
+
+
+@pytest.mark.parametrize("stop", [True, False])
+def test_a_lift_off_moves_with_the_change_that_it_is(stop):
+    """Off a ball, with modes and without: there the event has a derivative itself."""
+    scene = rk.Scene(SCENE.body, rk.Base(rk.Sphere(1.0)))
+    how = {"stop" if stop else "events": "lift-off", "rtol": 1e-11}
+
+    def ends(angle, **modes):
+        x, z = jnp.sin(angle), jnp.cos(angle)
+        start = rk.place(scene, UP, STILL, jnp.stack([x, 0.0 * x, z]))
+        run = rk.simulate(scene, start, (0.0, 0.8), **how, **modes)
+        found = run.events["lift-off"]
+        spin = found.states.parts if modes else found.states
+        parts = found.times[0], spin.angular_velocity[0, 1], run.final_time
+        return jnp.stack(parts)
+
+    def with_modes(angle):
+        return ends(angle, modes=rk.Modes())
+
+    wanted, moves = jax.jvp(ends, (0.3,), (1.0,))
+    found, other = jax.jvp(with_modes, (0.3,), (1.0,))
+    # of a tolerance of 1e-11, over some tens of steps
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    np.testing.assert_allclose(other, moves, rtol=1e-9)
+    np.testing.assert_allclose(jax.jacrev(with_modes)(0.3), moves, rtol=1e-9)

@@ -43,7 +43,7 @@ from .modes import HybridScene, HybridState, Mode, of
 from .outcome import HybridOutcome, ended, outcome_of
 from .step_trial import Allowed, Run
 from .transitions import Motion
-from .user_events import Kept, at_their_zeros, with_places
+from .user_events import Kept, at_their_zeros, of_normal_force, with_places
 
 # Times at which rates of a scene have a corner [s]; how many numbers steps stay away.
 _Corners: TypeAlias = Callable[[HybridScene], tuple[Array | None, int]]
@@ -166,9 +166,11 @@ def _with_events(
     # a state that a change of the contact shows moves with the change, not at its time:
     # of it nothing is known by one Newton step of the event, whose value may even jump
     changes = jax.lax.stop_gradient(run.switches.time)
-    at_change = jnp.any(kept.time[:, None] == changes[None], axis=1)
-    spans = jnp.where(at_change, jnp.nan, span)
+    at = kept.time[:, None] == changes[None]
+    spans = jnp.where(jnp.any(at, axis=1), jnp.nan, span)
+    shows = found.y
     found = at_their_zeros(events, make, scene, found, spans)
+    found = _with_lift_offs(events, run, at, shows, found)
     ended = run.code == Code.STOPPED
     first = jnp.asarray(layout_of(events).firsts)[jnp.maximum(found.by, 0)]
     last: Callable[[Array, Array], Array] = lambda own, kept: jnp.where(
@@ -183,6 +185,33 @@ def _with_events(
         happened=found,
         kept=None,
     )
+
+
+def _with_lift_offs(
+    events: Any,
+    run: HybridOutcome,
+    at: Bool[Array, "R S"],
+    shows: Any,
+    found: Happened,
+) -> Happened:
+    """With events of the normal force that are the run's own lift-offs, as these move.
+
+    Args:
+        events: That were looked for.
+        run: With its changes.
+        at: Which events are at which change.
+        shows: States there, which move with the change.
+        found: Events; of those at a change nothing is known.
+    """
+    same = at & (run.switches.after == Mode.FLYING)[None]
+    lifts = jnp.any(same, axis=1) & jnp.asarray(of_normal_force(events))
+    time = run.switches.time[jnp.argmax(same, axis=1)]
+
+    def moved(own: Array, x: Array) -> Array:
+        return jnp.where(lifts.reshape(-1, *[1] * (x.ndim - 1)), own, x)
+
+    y = jax.tree.map(moved, shows, found.y)
+    return found._replace(time=moved(time, found.time), y=y)
 
 
 class _Runs(NamedTuple):

@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen.event_layout import Layout
 from ..dynamics.nearest_anywhere import at_nearest
+from ..dynamics.observables import normal_force
 from ..integration.event_search import (
     Events,
     Happened,
@@ -357,6 +358,12 @@ def at_their_zeros(
     return happened._replace(
         time=time, y=ModedState(parts, happened.y.mode, happened.y.direction)
     )
+
+
+def of_normal_force(events: Events) -> np.ndarray:
+    """Places of the events of the normal force itself, shape (R,)."""
+    alike = [getattr(e, "function", None) is normal_force for e in events]
+    return np.repeat(alike, layout_of(events).mosts)
 
 
 def with_places(times: Float[Array, " T"], count: int) -> Float[Array, " n"]:
