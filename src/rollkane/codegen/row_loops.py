@@ -16,7 +16,9 @@ from .array_memory import Arrays, Index, Memory, heads_of, value_of
 from .scalars import Number, in_c
 from .statement_writer import Block
 
-_SHORT = 12  # numbers of a row that are written one by one
+# Numbers of a row that are written one by one: three lines each, which take a compiler
+# the 2 ms of a loop in place of them
+_SHORT = 12
 # a number that is written to an array, and the name of one
 _WRITE, _ARRAY = re.compile(r"^(m\d+)\[[^\]]*\] = (.*);$"), re.compile(r"\bm\d+\b")
 

@@ -31,7 +31,8 @@ from .scene import Scene
 
 _LOWEST = 8  # local minima of the samples that are searched further
 # The lowest of the others that are: where surfaces nearly fit each other a second place
-# lies in the valley of the first, and no sample of it is lower than all around
+# lies in the valley of the first, and no sample of it is lower than all around. Without
+# them 4 of 40 places in waves were missed, with one 2, with two none; three times that
 _IN_VALLEYS = 6
 _NEAREST = 4  # of those of a body in flight, which Newton's method improves
 _NEAR = 8  # neighbours of a sample

@@ -32,6 +32,19 @@ class Evaluation(NamedTuple):
         ours = np.broadcast_to(of_samples, (samples,))
         return np.concatenate([ours, np.full(self.priors, of_priors)])
 
+    def held(self, misfit: float, row: np.ndarray) -> "Evaluation":
+        """With a number that is held: as firm as a prior, it hides no others.
+
+        Args:
+            misfit: Of the number, over a width.
+            row: Its derivatives over that width, shape (P,).
+        """
+        return self._replace(
+            residual=np.append(self.residual, misfit),
+            jacobian=np.concatenate([self.jacobian, row[None]]),
+            priors=self.priors + 1,
+        )
+
     @property
     def of_samples(self) -> np.ndarray:
         """Residuals without those of priors."""

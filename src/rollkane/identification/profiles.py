@@ -131,15 +131,9 @@ def _end(
         goal = middle + steps * error
 
         def evaluate(x: np.ndarray, goal: float = goal) -> Evaluation:
-            at = problem.evaluate(x)
-            row = np.zeros((1, layout.size))
-            row[0, entry.where] = entry.at(x).slope[k] / width
-            # as firm as a prior, it hides no others, and nor do those that are there
-            return at._replace(
-                residual=np.append(at.residual, (number(x) - goal) / width),
-                jacobian=np.concatenate([at.jacobian, row]),
-                priors=at.priors + 1,
-            )
+            row = np.zeros(layout.size)
+            row[entry.where] = entry.at(x).slope[k] / width
+            return problem.evaluate(x).held((number(x) - goal) / width, row)
 
         # not from a point beyond the end, from which there may be no way back: a
         # logarithm that was sent to where its number no longer changes
