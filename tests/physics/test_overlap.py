@@ -188,6 +188,11 @@ def test_two_convex_bodies_are_not_looked_at():
         for base in (rk.Plane(), rk.Sphere(2.0), rk.Cylinder(1.0), rk.Cone(-1.0, True)):
             assert not clearance.may_touch_twice(scene(body, base))
     assert clearance.may_touch_twice(scene(rk.Sphere(0.1), rk.Cone(1.0, inside=True)))
+    for body in (rk.Ring(0.1), rk.Torus(0.1, 0.02)):  # on a plane as their hulls
+        assert not clearance.may_touch_twice(scene(body, rk.Plane()))
+        assert clearance.may_touch_twice(scene(body, rk.Sphere(2.0)))
+    tube = rk.Torus(0.1, 0.02, inside=True)
+    assert clearance.may_touch_twice(scene(tube, rk.Plane()))
 
 
 SURFACES: dict[str, AbstractSurface] = {

@@ -53,6 +53,19 @@ def test_a_scene_made_inside_adds_nothing_to_the_program():
     assert counted(inside) == counted(outside)
 
 
+def test_an_overlap_of_known_places_is_not_looked_for_in_every_call():
+    """The search stood in the program, 0.5 s to compile, as the speed is traced."""
+    bowl = rk.Base(rk.Graph(lambda x, y: 0.5 * (x * x + y * y)))
+    egg = rk.Body(1.0, 0.004 * np.eye(3), rk.Ellipsoid((0.1, 0.1, 0.14)))
+    placed = lambda spin, allow: rk.place(
+        rk.Scene(egg, bowl), UP, spin, np.zeros(3), allow_overlap=allow
+    )
+    looks = jax.make_jaxpr(lambda spin: placed(spin, False))(jnp.ones(3))
+    allows = jax.make_jaxpr(lambda spin: placed(spin, True))(jnp.ones(3))
+    # what an overlap would spoil, where the search was hundreds of equations
+    assert counted(looks) <= counted(allows) + 20
+
+
 def test_what_moves_with_a_known_number_is_the_same_inside():
     by_mass = lambda m, spin: end(scene(mass=m), spin)
     value, tangent = jax.jvp(by_mass, (2.0, 2.0), (1.0, 0.5))

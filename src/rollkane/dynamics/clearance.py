@@ -66,6 +66,18 @@ class _Side(NamedTuple):
         return _known(self.level(self.surface.point(u)))
 
 
+class Pose(NamedTuple):
+    """Where a body is.
+
+    Attributes:
+        to_base: Rotation from body to base axes.
+        origin: Of the body [m], base axes.
+    """
+
+    to_base: Float[Array, "3 3"]
+    origin: Float[Array, "3"]
+
+
 class Clearance(NamedTuple):
     """The least distance of two surfaces.
 
@@ -83,22 +95,25 @@ class Clearance(NamedTuple):
 def may_touch_twice(scene: Scene) -> bool:
     """Whether a second contact is possible, and could be told."""
     body, base = scene.body.surface, scene.base.surface
-    if _are_convex(scene) or not body.is_bounded:
+    if _are_as_convex(scene) or not body.is_bounded:
         return False
-    return _has_inside(body, scene) or _has_inside(base, scene)
+    dtype = scene.body.mass.dtype
+    return _has_inside(body, dtype) or _has_inside(base, dtype)
 
 
 def nearest_is_found(scene: Scene) -> bool:
     """Whether the nearest of all places of body and base can be told."""
-    return _are_convex(scene) or may_touch_twice(scene)
+    return _are_as_convex(scene) or may_touch_twice(scene)
 
 
-def _are_convex(scene: Scene) -> bool:
-    return scene.body.surface.is_convex and scene.base.surface.is_convex
+def _are_as_convex(scene: Scene) -> bool:
+    body, base = scene.body.surface, scene.base.surface
+    of_body = body.is_convex_on_plane if base.is_flat else body.is_convex
+    return of_body and base.is_convex
 
 
-def _has_inside(surface: AbstractSurface, scene: Scene) -> bool:
-    point = jax.ShapeDtypeStruct((3,), scene.body.mass.dtype)
+def _has_inside(surface: AbstractSurface, dtype: Any) -> bool:
+    point = jax.ShapeDtypeStruct((3,), dtype)
     return jax.eval_shape(surface.signed_distance, point) is not None
 
 
@@ -110,9 +125,16 @@ def clearance(scene: Scene, t: Float[Array, ""], state: Any) -> Clearance:
         t: Time [s].
         state: In contact or in flight.
     """
-    body = scene.body.surface
+    surfaces = scene.body.surface, scene.base.surface
+    return clearance_at(*surfaces, _pose(scene, t, state))
+
+
+@for_one_call  # known then, too, where only masses or speeds are traced
+def clearance_at(body: AbstractSurface, base: AbstractSurface, pose: Pose) -> Clearance:
+    """The same of two surfaces, of which the body's is at a pose; no derivative."""
+    body, base, pose = jax.lax.stop_gradient((body, base, pose))
     found: list[tuple[Array, Array]] = []
-    for side in _sides(scene, t, state):
+    for side in _sides(body, base, pose):
         gap, place = _lowest(side)
         found.append((gap, side.on_base(place)))
         if side.surface is body and body.has_face:
@@ -147,8 +169,8 @@ def lowest_places(
     Returns:
         Gaps [m], infinite where there are fewer places; the places [m], base axes.
     """
-    sides = _sides(scene, t, state)
     body, base = scene.body.surface, scene.base.surface
+    sides = _sides(body, base, _pose(scene, t, state))
     # those of a body are closer: the base's, of which each is a search, add nothing
     if len(sides) > 1 and body.searches_distance and not base.searches_distance:
         sides = sides[:1]
@@ -165,19 +187,18 @@ def lowest_places(
     return gaps, places
 
 
-def _sides(scene: Scene, t: Float[Array, ""], state: AnyState) -> list[_Side]:
+def _sides(body: AbstractSurface, base: AbstractSurface, pose: Pose) -> list[_Side]:
     """Surfaces to look along: with the other's level, and a way to base axes."""
-    body, base = scene.body.surface, scene.base.surface
-    to_base, origin = _pose(scene, t, state)
+    to_base, origin = pose
     placed: _Map = lambda x: origin + matvec(to_base, x)
     back: _Map = lambda x: matvec_transposed(to_base, x - origin)
     sides: list[_Side] = []
     dtype = origin.dtype
-    if _has_inside(base, scene):
+    if _has_inside(base, dtype):
         of_base = base.distances(dtype, Ball(origin, reach_of(body, dtype)))
         level: _Level = lambda x: of_base(placed(x))
         sides.append(_Side(body, level, placed, base.searches_distance, dtype))
-    if _has_inside(body, scene) and not base.is_flat:
+    if _has_inside(body, dtype) and not base.is_flat:
         of_body = body.distances(dtype)
         level = lambda x: of_body(back(x))
         as_it_is: _Map = lambda x: x
@@ -224,14 +245,28 @@ def body_points(body: AbstractSurface, dtype: Any) -> Float[Array, "n 3"]:
     return jax.vmap(body.point)(samples)
 
 
-def _pose(scene: Scene, t: Float[Array, ""], state: AnyState) -> tuple[Array, Array]:
-    """Rotation from body to base axes, and the body origin on base axes [m]."""
+def _pose(scene: Scene, t: Float[Array, ""], state: AnyState) -> Pose:
+    """Where the body of a state is."""
     if state.touches:
         contact = contact_of(scene, t, state)
-        to_base = contact.to_base
-        return to_base, contact.base_point - matvec(to_base, contact.body_point)
+        return pose_at(contact.to_base, contact.base_point, contact.body_point)
     _, place, to_base = flying_pose(scene, t, cast(FlyingState, state))
-    return to_base, place
+    return Pose(to_base, place)
+
+
+def pose_at(
+    to_base: Float[Array, "3 3"],
+    base_point: Float[Array, "3"],
+    body_point: Float[Array, "3"],
+) -> Pose:
+    """Where a body is whose point touches a point of the base.
+
+    Args:
+        to_base: Rotation from body to base axes.
+        base_point: [m], base axes.
+        body_point: [m], body axes.
+    """
+    return Pose(to_base, base_point - matvec(to_base, body_point))
 
 
 def flying_pose(

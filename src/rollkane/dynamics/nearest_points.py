@@ -23,7 +23,7 @@ from ..geometry.small_linear import (
     solve_2x2,
     solve_4x4,
 )
-from ..geometry.surfaces import AbstractSurface
+from ..geometry.surfaces import AbstractSurface, NormalHeading
 from ..kinematics.coordinates import FlyingState
 from .clearance import flying_pose
 from .nearest_on_face import (
@@ -42,10 +42,6 @@ NEWTON = 16
 # Of the size of what is compared, where the search has ended: it ends no closer where
 # rounding does not let it
 _CLOSE = 64
-
-# How near to an end a flight that cannot go on is stuck, of lengths of one: the steps
-# of its clock are far shorter
-_PAST = 1e-9
 
 # Coordinates of the nearest points on base and body.
 Places: TypeAlias = tuple[Array, Array]
@@ -222,53 +218,14 @@ def begun_at(
     return eqx.tree_at(places_of, state, (on_base, on_body))
 
 
-def may_pass_an_end(scene: Scene) -> bool:
-    """Whether a body may fly where its base has an end, or a flat without normals."""
-    base = scene.base.surface
-    like = jax.ShapeDtypeStruct((base.coordinate_count,), float)
-    return base.has_face or jax.eval_shape(base.extent, like) is not None
-
-
-def passes_an_end(scene: Scene, t: Float[Array, ""], state: FlyingState) -> Array:
-    """Whether the nearest points have come to an end of the base, or over its flat.
-
-    Args:
-        scene: One of which :func:`may_pass_an_end` is true.
-        t: Time [s].
-        state: With its nearest points.
-    """
-    base = scene.base.surface
-    _, origin, to_base = flying_pose(scene, t, state)
-    ground = base.geometry(state.contact_on_base)
-    shell = _body_geometry(scene, state, ground, to_base)
-    left = base.extent(state.contact_on_base)
-    if left is not None:
-        return left <= at_precision(_PAST, left)
-    over = base.face_extent(origin + matvec(to_base, shell.position))
-    rim = base.face_extent(jnp.zeros_like(origin))
-    assert over is not None
-    assert rim is not None
-    return over >= -at_precision(_PAST, over) * rim
-
-
-def off_an_end(scene: Scene, state: FlyingState) -> Bool[Array, ""] | bool:
-    """Whether a nearest point is on what continues its surface beyond an end.
-
-    A meridian, for one, goes on behind the rim, where there is nothing to land on.
+def heading_on_plane(scene: Scene) -> NormalHeading | None:
+    """Of the body's normal, where its base is a plane and a circle can lie on it.
 
     Args:
         scene: What flies over what.
-        state: With its nearest points.
     """
-    off: Bool[Array, ""] | bool = False
-    places = [(scene.base.surface, state.contact_on_base)]
-    if scene.has_contact_coordinates:
-        places.append((scene.body.surface, state.contact_on_body))
-    for surface, place in places:
-        left = surface.extent(place)
-        if left is not None:
-            off = off | (left < 0.0)
-    return off
+    body, base = scene.body.surface, scene.base.surface
+    return body.normal_heading(True) if base.is_flat else None
 
 
 def places_of(state: FlyingState) -> Places:
@@ -287,7 +244,7 @@ def _improved(
     base, body = scene.base.surface, scene.body.surface
     _, origin, to_base = flying_pose(scene, t, state)
     ground = base.geometry(state.contact_on_base)
-    shell = _body_geometry(scene, state, ground, to_base)
+    shell = body_geometry(scene, state, ground, to_base)
     tangents = components(ground.frame.T[:2])
     join = origin + matvec(to_base, shell.position) - ground.position
     gap = dot(ground.normal, join)
@@ -347,13 +304,20 @@ def _solved(
     return jnp.concatenate([own - matvec(of_body, body), body])
 
 
-def _body_geometry(
+def body_geometry(
     scene: Scene,
     state: FlyingState,
     ground: LocalGeometry,
     to_base: Float[Array, "3 3"],
 ) -> LocalGeometry:
-    """The body there; on the base's tangents, where the point is that of a normal."""
+    """The body there; on the base's tangents, where the point is that of a normal.
+
+    Args:
+        scene: What flies over what.
+        state: With its nearest points.
+        ground: The base there.
+        to_base: Rotation from body to base axes.
+    """
     body = scene.body.surface
     if scene.has_contact_coordinates:
         return body.geometry(state.contact_on_body)
@@ -362,4 +326,17 @@ def _body_geometry(
     first, second, out = (
         matvec_transposed(to_base, axis) for axis in components(ground.frame.T)
     )
-    return from_normal(of_normal, -out, (first, second))
+    return from_normal(of_normal, -_off_level(scene, out), (first, second))
+
+
+def _off_level(scene: Scene, out: Float[Array, "3"]) -> Float[Array, "3"]:
+    """A plane's normal on body axes; off level, where a whole circle of a body is it.
+
+    All points of the circle are as near then, but for rounding: any of them will do.
+    """
+    heading = heading_on_plane(scene)
+    if heading is None:
+        return out
+    rounding = np.finfo(out.dtype).eps
+    is_level = jnp.max(jnp.abs(heading(out))) < rounding
+    return jnp.where(is_level, out + 2.0 * rounding, out)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..codegen import prepare_calls
 from ..codegen.compile_effort import for_few_operations, for_one_call
-from ..geometry.local_geometry import from_normal
+from ..geometry.local_geometry import LocalGeometry, from_normal
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import cross, dot, matvec, matvec_transposed, norm
 from ..geometry.surfaces import AbstractPointSurface, AbstractSurface, PointOfNormal
@@ -21,7 +21,7 @@ from ..kinematics.coordinates import SlidingState, State, shared_parts
 from ..kinematics.surface_fit import opening_of
 from ..validation.checks import FieldError, is_traced, real, spoilt
 from .abstract_supported import rolling_parts
-from .clearance import clearance, may_touch_twice
+from .clearance import Pose, clearance_at, may_touch_twice, pose_at
 from .consistency import consistent, looseness
 from .mass_matrix import assemble, field_of
 from .placement_errors import (
@@ -172,7 +172,8 @@ def _examined(scene: Scene, asked: dict[str, Any], looks: bool) -> Placed:
     }
     overlap = where = None
     if looks:
-        found = jax.lax.stop_gradient(clearance(scene, time, state))
+        surfaces = scene.body.surface, scene.base.surface
+        found = clearance_at(*surfaces, fit.pose)
         overlap, where = -found.gap, found.place
         wrong["overlaps"] = overlap > loose * (found.size + norm(where))
     if scene.supported:
@@ -252,6 +253,7 @@ class _Fit(eqx.Module):
     rotation: Array  # body to fixed axes
     on_base: Array  # contact coordinates
     on_body: Array
+    pose: Pose  # of the body
     nearest: Array  # point of the base next to the asked one [m], base axes
     out: Array  # normal out of the base [1], fixed axes
     off_base: Array  # truth values: what is wrong
@@ -305,11 +307,7 @@ def _fit(
     else:
         on_body = jnp.zeros(0, normal.dtype)
         shell = from_normal(cast(PointOfNormal, point_of_normal), normal)
-    tangents = [matvec_transposed(to_base, ground.frame[:, a]) for a in range(2)]
-    mixing = jnp.stack(
-        [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
-    )
-    still = jax.lax.stop_gradient((shell, ground, mixing))
+    still = jax.lax.stop_gradient((shell, ground, _mixing(shell, ground, to_base)))
     opening, curving = opening_of(*still)
     of_body = jnp.ones(2, normal.dtype)
     if on_body.shape[0]:
@@ -333,6 +331,7 @@ def _fit(
         rotation=rotation,
         on_base=on_base,
         on_body=on_body,
+        pose=pose_at(to_base, ground.position, shell.position),
         nearest=ground.position,
         out=-matvec(rotation, normal),
         # what it is moved by is little of the body, or a rounding of the place
@@ -341,4 +340,14 @@ def _fit(
         singular=~(regular > 1e-3 * loose),
         fits=~(jnp.abs(curving) > 100 * rounding),  # a determinant of unit columns
         cuts=~(opening > -1e4 * rounding),  # an edge opens by zero, up to rounding
+    )
+
+
+def _mixing(
+    shell: LocalGeometry, ground: LocalGeometry, to_base: Float[Array, "3 3"]
+) -> Float[Array, "2 2"]:
+    """Components of the base's tangents on those of the body."""
+    tangents = [matvec_transposed(to_base, ground.frame[:, a]) for a in range(2)]
+    return jnp.stack(
+        [jnp.stack([dot(shell.frame[:, m], t) for t in tangents]) for m in range(2)]
     )

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.clearance import depth_of_touch
 from ..dynamics.directed_friction import begins
+from ..dynamics.flight_ends import lies_level, off_an_end
 from ..dynamics.nearest_on_face import faces, has_face
-from ..dynamics.nearest_points import off_an_end
 from ..geometry.small_linear import dot
 from ..integration.event_search import layout_of
 from ..integration.longest_step import LEAST_STEPS
@@ -221,14 +221,15 @@ class Loop(Trials):
     def lands_off_surfaces(self, at: Place, tried: Tried) -> Array | bool:
         """Whether a flight ends where no surface is: on a face, or behind a rim.
 
-        The face of the body would come to lie on the base, not its rim; and behind the
-        end of a meridian is only what would continue it.
+        The face of the body would come to lie on the base, not its rim, or the whole
+        circle of a ring; and behind the end of a meridian is only what would continue
+        it.
         """
         scene = self.motion.scenes.flying
         if self.reach is None:
             return False
         state = tried.end.y.flying()
-        off = off_an_end(scene, state)
+        off = off_an_end(scene, state) | lies_level(scene, tried.t, state)
         if has_face(scene):
             off = off | faces(scene, tried.t, state)
         return (at.mode == Mode.FLYING) & off

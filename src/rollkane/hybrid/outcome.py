@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.clearance import code_of_touch, may_touch_twice
-from ..dynamics.nearest_points import may_pass_an_end, passes_an_end
+from ..dynamics.flight_ends import may_pass_an_end, passes_an_end
 from ..dynamics.precision import at_precision
 from ..dynamics.rolling import LEAST_MARGIN, painleve_margin
 from ..dynamics.rolling_problem import at_an_edge, has_edges

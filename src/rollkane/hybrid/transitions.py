@@ -1,7 +1,7 @@
 """What an event changes in the contact: the mode, and the state behind it."""
 
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import equinox as eqx
 import jax
@@ -68,14 +68,15 @@ class Motion(ModeRates):
     def begun(self, mode: Int[Array, ""], t: Float[Array, ""], y: HybridState) -> Begun:
         """Mode, direction and state at the start: what is without slip may grip."""
         speed = safe_norm(y.slip)
-        settled, way, gripped = self.settled(t, y)
         rests = (mode == Mode.ROLLING) | ((mode == Mode.SLIPPING) & ~(speed > 0.0))
-        grips = rests & (settled == Mode.ROLLING)
-        return (
-            jnp.where(rests, settled, mode),
-            jnp.where(rests, way, y.slip / not_zero(speed)),
-            picked(grips, gripped, y),
-        )
+
+        def settled() -> Begun:
+            settled, way, gripped = self.settled(t, y)
+            return settled, way, picked(settled == Mode.ROLLING, gripped, y)
+
+        # a flight may begin where no contact could be, without a derivative there
+        as_it_is: Callable[[], Begun] = lambda: (mode, y.slip / not_zero(speed), y)
+        return cast(Begun, jax.lax.cond(rests, settled, as_it_is))
 
     def changed(
         self,

@@ -8,6 +8,7 @@ from .catalogue import Plane as Plane
 from .catalogue import Sphere as Sphere
 from .catalogue import Torus as Torus
 from .cone import Cone as Cone
+from .directions import NormalHeading as NormalHeading
 from .directions import PointOfNormal as PointOfNormal
 from .edges import DiscEdge as DiscEdge
 from .edges import Ring as Ring

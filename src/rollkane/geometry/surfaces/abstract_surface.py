@@ -122,6 +122,11 @@ class AbstractSurface(eqx.Module):
         return False
 
     @property
+    def is_convex_on_plane(self) -> bool:
+        """Whether a plane touches it where it would touch its convex hull, and once."""
+        return self.is_convex
+
+    @property
     def hull(self) -> Callable[[np.ndarray], bool] | None:
         """Whether a point [m] is in the body's convex hull, by NumPy.
 

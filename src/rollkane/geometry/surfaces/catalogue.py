@@ -281,6 +281,11 @@ class Torus(AbstractPairSurface):
             ]
         )
 
+    @property
+    def is_convex_on_plane(self) -> bool:
+        """Whether it is solid: its outer half is its convex hull's."""
+        return not self.inside
+
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
         """On a plane, the outer half by its normal; else None."""
         if not against_plane or self.inside:

@@ -178,6 +178,11 @@ class Ring(AbstractPointSurface):
         """
         self.radius = positive("Ring.radius", radius, (), "a length in metres")
 
+    @property
+    def is_convex_on_plane(self) -> bool:
+        """True: the lowest point is that of the disc which the ring encloses."""
+        return True
+
     def normal_map(self, against_plane: bool) -> PointOfNormal | None:
         """On a plane, the lowest point by the normal; else None."""
         if not against_plane:
