@@ -197,6 +197,21 @@ def test_what_no_row_shows_may_be_all_the_same():
     assert all((x == 0.0).all() for x in kept.values())
 
 
+def test_events_so_rare_that_a_sample_may_show_none():
+    """Without NumPy's warning of 0 / 0; what no resample tells is NaN."""
+    both = lambda drawn: (drawn["x"] > 0.95) & (drawn["y"] > 0.98)  # of 0.001
+    model = FunctionModel(both, {name: Uniform(0.0, 1.0) for name in "xyz"})
+    known = 0
+    for seed in range(12):
+        found = rk.sobol_indices(model, 256, seed=seed, sampling="plain")
+        low, high = np.asarray(found.total_interval["value"])
+        told = np.isfinite(low)
+        known += int(told.any())
+        assert ((low <= high) | ~told).all()
+    # 5 * 256 motions of 0.001 show none with a probability of 0.28
+    assert 0 < known < 12
+
+
 def test_bounds_of_an_event_hold_its_intervals():
     found = rk.sobol_indices(Failing(EVENT, 1e-3), 512)
     assert found.dropped["value"] > 0

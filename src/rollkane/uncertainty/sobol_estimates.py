@@ -124,14 +124,15 @@ def indices(sums: Sums) -> dict[str, np.ndarray]:
     # products less those of their means, so that equal outputs leave exactly nothing
     means = moved * (2.0 * apart + moved) + sums["left"] / count * apart**2
     pairs = square - (apart + moved) ** 2
-    # no more than rounding: an event that no pair shows
-    pairs = np.where(pairs > 8.0 * np.finfo(float).eps * square, pairs, np.nan)
-    first = (sums["first"] / count - means) / pairs
+    first = (sums["first"] / count - means) / _beyond_rounding(pairs, square)
     mean, square = sums["every"] / count, sums["every_square"] / count
-    return {
-        "first": first,
-        "total": sums["total"] / count / (square - mean * mean),
-    }
+    every = _beyond_rounding(square - mean * mean, square)
+    return {"first": first, "total": sums["total"] / count / every}
+
+
+def _beyond_rounding(variance: np.ndarray, square: np.ndarray) -> np.ndarray:
+    """The variance; NaN where it is rounding of the mean square: nothing happened."""
+    return np.where(variance > 8.0 * np.finfo(float).eps * square, variance, np.nan)
 
 
 def bound_sums(
