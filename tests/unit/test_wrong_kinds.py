@@ -1,5 +1,6 @@
 """What takes a Scene says so of a KaneSystem, and the other way."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -54,3 +55,34 @@ def test_a_scene_is_no_kane_system():
 def test_observables_have_names():
     with pytest.raises(rk.FieldError, match="names no functions"):
         rk.sensitivity(BALL, START, TIMES, "body.mass", SPIN)
+
+
+IMAGINARY = lambda x: jax.lax.complex(0.0 * x, x)
+COMPLEX = {
+    "Graph.f": lambda: rk.Graph(lambda x, y: IMAGINARY(x * x + y * y)),
+    "BaseMotion.position": lambda: rk.BaseMotion(lambda t: IMAGINARY(t * jnp.ones(3))),
+    "KaneSystem.kinematics": lambda: kane.KaneSystem(
+        1, 1, lambda t, q, u: IMAGINARY(u), [kane.Particle(1.0, SPEED)]
+    ),
+    "KaneSystem.loads": lambda: kane.KaneSystem(
+        1,
+        1,
+        lambda t, q, u: u,
+        [kane.Particle(1.0, SPEED)],
+        [kane.Load(SPEED, lambda t, q, u: [0.0, IMAGINARY(q[0]), 0.0])],
+    ),
+}
+
+
+@pytest.mark.parametrize("field", COMPLEX)
+def test_functions_of_complex_numbers_are_refused(field):
+    """Their imaginary parts were dropped, with a warning of NumPy's at most."""
+    with pytest.raises(rk.FieldError, match="returns complex numbers") as told:
+        COMPLEX[field]()
+    assert told.value.field.split("[")[0] == field
+
+
+def test_a_second_function_is_no_parameter():
+    with pytest.raises(rk.FieldError, match="let one function return all") as told:
+        rk.Revolution(lambda s: 0.1 * jnp.sin(s), lambda s: -0.1 * jnp.cos(s))
+    assert told.value.field == "Revolution.parameters"

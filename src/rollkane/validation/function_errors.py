@@ -1,7 +1,9 @@
 """What is wrong with a user's function, in words."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, cast
+
+import numpy as np
 
 from .checks import FieldError
 
@@ -52,6 +54,23 @@ def called(function: Callable[..., Any], *arguments: Any) -> Any:
             if error.args and error.args[0] not in entries:
                 raise MissingEntryError(error.args[0], [*entries]) from error
         raise
+
+
+def refuse_complex(field: str, function: Any, values: Iterable[Any]) -> None:
+    """Refuse a function one of whose values is complex: its imaginary part is lost.
+
+    Args:
+        field: Name used in the error.
+        function: The user's.
+        values: What it returns, or what is known of it.
+    """
+    kinds = (getattr(x, "dtype", None) for x in values)
+    if any(
+        kind is not None and np.issubdtype(kind, np.complexfloating) for kind in kinds
+    ):
+        problem = "returns complex numbers"
+        remedy = "let it return real ones: jnp.real of it, if that is meant"
+        raise FieldError(field, function, problem, remedy)
 
 
 def untraceable(

@@ -19,7 +19,12 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from .checks import FieldError, is_traced, known_array
-from .function_errors import ReturnedShapeError, called, untraceable
+from .function_errors import (
+    ReturnedShapeError,
+    called,
+    refuse_complex,
+    untraceable,
+)
 from .program_digest import digest_of_traced
 
 # a program, the structure of its results and of what is not an array among them
@@ -71,6 +76,11 @@ class UserFunction(eqx.Module):
             raise FieldError(
                 field, function, "must be a function", "give a function of JAX arrays"
             )
+        if inspect.isroutine(parameters):
+            problem = "must be numbers, and is a function"
+            remedy = "let one function return all values: (radius, height), (x, y, z)"
+            named = f"{field.split('.')[0]}.parameters"
+            raise FieldError(named, parameters, problem, remedy)
         self.parameters = as_floats(parameters)
         takes = int(parameters is not None)
         for arguments, extra in _forms(function, count, takes, of_array):
@@ -94,6 +104,7 @@ class UserFunction(eqx.Module):
             if not of_array and _calls(program, "custom_vjp_call"):
                 problem = "has a custom_vjp, and its slopes are taken forwards"
                 raise FieldError(field, function, problem, "use jax.custom_jvp")
+            refuse_complex(field, function, program.out_avals)
             self._digest = digest_of_traced(program)
             if is_traced(*program.consts):
                 closed = self._closed_over(count)
@@ -250,6 +261,7 @@ class GivenFunction(eqx.Module):
             raise untraceable(field, function, error, remedy, source) from error
         if shape is not None and getattr(value, "shape", None) != shape:
             raise ReturnedShapeError(field, function, value, remedy)
+        refuse_complex(field, function, program.out_avals)
         self._digest = digest_of_traced(program)
         if is_traced(*program.consts):
             # a closure would hide a traced number from differentiation
@@ -288,7 +300,8 @@ def _value(takes_more: bool, function: Callable[..., Any], *arguments: Any) -> A
     value = called(function, *(arguments if takes_more else arguments[:-1]))
     if isinstance(value, list):
         parts = cast("list[Any]", value)
-        value = jnp.stack([jnp.asarray(v, jnp.result_type(float)) for v in parts])
+        kind = complex if any(map(jnp.iscomplexobj, parts)) else float
+        value = jnp.stack([jnp.asarray(v, jnp.result_type(kind)) for v in parts])
     return value
 
 
