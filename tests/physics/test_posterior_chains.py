@@ -109,6 +109,14 @@ def test_a_number_that_records_do_not_keep_from_zero_has_no_posterior():
     assert caught.value.value == ends
 
 
+def test_bounded_parameters_are_named():
+    spinning = rk.Free("start.angular_velocity[1]", bounds=(0.0, 4.0))
+    found = _of_spins([[1.0, 2.0, 3.0]], (10,), 0.1, spinning)
+    with pytest.raises(rk.FieldError, match='form="scale"') as caught:
+        rk.posterior(found)
+    assert caught.value.value == ("start.angular_velocity[1]",)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.03, 0.06])
 def test_a_posterior_is_that_of_quadrature(sigma):
@@ -134,3 +142,38 @@ def test_a_posterior_is_that_of_quadrature(sigma):
         # sizes of one number's chains; four deviations
         error = np.sqrt(share * (1.0 - share) / (3000 / 7))
         assert abs(below - share) < 4.0 * error
+
+
+def _of_spins(spins, counts, sigma, free):
+    """A ball that rolls on a plane keeps its spin, which a gyro reads."""
+    scene = rk.Scene(rk.Body(1.0, INERTIA * np.eye(3), rk.Sphere(RADIUS)))
+    rng = np.random.default_rng(2)
+    starts, records = [], []
+    for spin, count in zip(spins, counts, strict=True):
+        start = rk.place(scene, (1, 0, 0, 0), spin, (0, 0, 0))
+        run = rk.simulate(scene, start, np.linspace(0.0, 0.5, count))
+        seen = np.asarray(run.state.angular_velocity)
+        seen = seen + sigma * rng.standard_normal(seen.shape)
+        starts.append(start)
+        records.append(rk.Record(run.time, {"gyro": rk.Gyro(seen, sigma=sigma)}))
+    return rk.fit(scene, starts, records, free)
+
+
+def test_draws_of_several_records_come_in_front_of_them():
+    """Records stood in front: R-hat compared them as if they were chains."""
+    sigma, counts = 0.1, (10, 40)
+    free = rk.Free("start.angular_velocity")
+    found = _of_spins([[1.0, 2.0, 3.0], [-2.0, 0.5, 1.0]], counts, sigma, free)
+    drawn = rk.posterior(found, draws=1000, warmup=200)
+    spin = drawn["start.angular_velocity"]
+    assert spin.shape == (1000, 2, 3)
+    assert drawn.r_hat["start.angular_velocity"].shape == (2, 3)
+    for k, count in enumerate(counts):
+        # on body axes the spin turns: its samples tell it as their mean does, of white
+        # noise; 1000 draws, worth half as many independent ones, tell a mean to 0.05
+        # deviations and a deviation to 3 %: five and six of these
+        deviation = sigma / np.sqrt(count)
+        wanted = found.estimates["start.angular_velocity"][k]
+        off = np.abs(spin[:, k].mean(axis=0) - wanted)
+        assert (off < 0.25 * deviation).all()
+        np.testing.assert_allclose(spin[:, k].std(axis=0), deviation, rtol=0.2)

@@ -64,8 +64,10 @@ def _jointly(samples, loss):
     )
     scale = np.exp(begun.x[2])
     r = (samples - SLOPES @ begun.x[:2]) / scale
-    slope = np.mean(psi(r + 1e-5) - psi(r - 1e-5)) / 2e-5
-    factor = scale**2 * np.sum(psi(r) ** 2) / left / slope**2
+    slopes = (psi(r + 1e-5) - psi(r - 1e-5)) / 2e-5
+    slope = np.mean(slopes)
+    uneven = 1.0 + 2.0 / TIMES.size * np.var(slopes) / slope**2  # Huber's K
+    factor = (uneven * scale / slope) ** 2 * np.sum(psi(r) ** 2) / left
     errors = np.sqrt(factor * np.diag(np.linalg.inv(SLOPES.T @ SLOPES)))
     return begun.x[:2], scale, errors
 

@@ -1,5 +1,6 @@
 """Contact through former poles: the ends of axes, where charts by angles break."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -146,3 +147,111 @@ def test_gradient_at_a_pole():
     exact = jax.jit(jax.jacfwd(lambda x: end(rk.Ellipsoid((0.2, 0.2, 0.1)), x)))(at)
     found = jax.jit(jax.jacfwd(lambda x: end(round_, x)))(at)
     np.testing.assert_allclose(found, exact, atol=1e-8)
+
+
+def by_angles(a, b):
+    return jnp.stack([jnp.cos(a) * jnp.cos(b), jnp.sin(a) * jnp.cos(b), jnp.sin(b)])
+
+
+ROUND = rk.Body(1.0, 0.004 * np.eye(3), rk.Sphere(0.1))
+BALL = rk.Parametric(lambda a, b: 0.1 * by_angles(a, b))
+DOWN = (np.cos(np.pi / 2 + 0.3), np.sin(np.pi / 2 + 0.3), 0.0, 0.0)
+
+
+def with_a_ball_inside(shell):
+    inner = rk.RollingBody(rk.Body(0.2, 1e-4 * np.eye(3), rk.Sphere(0.05)), shell)
+    body = rk.Body(1.0, 0.03 * np.eye(3), rk.Sphere(0.3))
+    return rk.Scene(body, supported=(inner,)), inner
+
+
+def beside_a_pole(kind, surface):
+    """A scene, and ``start(sideways)`` through the pole or beside it."""
+    still = (0.0, 0.0, 0.0)
+    if kind == "body":
+        scene = rk.Scene(rk.Body(1.0, 0.004 * np.eye(3), surface))
+        return scene, lambda x: rk.place(scene, DOWN, (2.6, x, 0.0), still)
+    if kind == "base":
+        scene = rk.Scene(ROUND, rk.Base(surface))
+        at = (0.0, -np.sin(0.5), -np.cos(0.5))
+        return scene, lambda x: rk.place(scene, (1, 0, 0, 0), (0.0, 10 * x, 0.0), at)
+    scene, inner = with_a_ball_inside(surface)
+    at = (0.0, 0.3 * np.sin(0.6), -0.3 * np.cos(0.6))
+    turned = lambda x: inner.place((1, 0, 0, 0), (0.0, 10 * x, 0.0), at)
+    return scene, lambda x: rk.place(
+        scene, (1, 0, 0, 0), still, still, supported=turned(x)
+    )
+
+
+CHARTS = {
+    "body": (BALL, rk.Sphere(0.1)),
+    "base": (rk.Parametric(by_angles, inside=True), rk.Sphere(1.0, inside=True)),
+    "carrier": (
+        rk.Parametric(lambda a, b: 0.3 * by_angles(a, b), inside=True),
+        rk.Sphere(0.3, inside=True),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", CHARTS)
+def test_no_step_goes_over_the_pole_of_a_users_chart(kind):
+    """The normal, d1 x d2, turned over there, and the body with it: "completed"."""
+    chart, sphere = CHARTS[kind]
+    scene, start = beside_a_pole(kind, chart)
+    for rtol in (1e-3, 1e-6, 1e-9):
+        for sideways in (0.0, 1e-9):
+            run = rk.simulate(scene, start(sideways), (0.0, 1.5), rtol=rtol)
+            assert run.code == rk.Code.SURFACE_EDGE
+            assert run.final_time < 1.2
+    same, begun = beside_a_pole(kind, sphere)
+    run = rk.simulate(scene, start(0.1), (0.0, 1.5), rtol=1e-11)
+    other = rk.simulate(same, begun(0.1), (0.0, 1.5), rtol=1e-11)
+    assert run.succeeded
+    # some 100 steps of 1e-11, of angles that grow no errors by more than ten
+    np.testing.assert_allclose(run.position, other.position, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("modes", [None, rk.Modes(friction=0.5, restitution=0.3)])
+def test_poles_of_charts_by_every_loop(modes):
+    scene, start = beside_a_pole("body", BALL)
+    begun = start(0.0)
+    run = lambda s, method="auto": rk.simulate(
+        scene, s, (0.0, 1.0), modes=modes, method=method
+    )
+    by_diffrax = run(begun, "diffrax")
+    assert by_diffrax.code == run(begun).code == rk.Code.SURFACE_EDGE
+    # at 2.6 rad/s and steps that halve: where the chart's circles are 1e-8 of its size
+    np.testing.assert_allclose(by_diffrax.final_time, run(begun).final_time, atol=1e-7)
+    turned = lambda x: eqx.tree_at(
+        lambda s: s.angular_velocity, begun, x * begun.angular_velocity
+    )
+    codes = jax.vmap(lambda x: run(turned(x)).code)(jnp.array([0.3, 0.5, 1.0, 1.5]))
+    assert codes.tolist() == [0, 0, rk.Code.SURFACE_EDGE, rk.Code.SURFACE_EDGE]
+    slope = jax.grad(lambda x: run(turned(x)).angular_velocity[-1, 0])
+    assert np.isfinite(slope(0.5))
+    assert np.isnan(slope(1.0))
+
+
+def _of_points(height):
+    points = lambda x, y: jnp.stack([x, y, height(x, y)])
+    return rk.Parametric(points, domain=((-0.9, 0.9), (-0.9, 0.9)))
+
+
+@pytest.mark.parametrize("of", [rk.Graph, _of_points])
+def test_a_chart_that_becomes_upright_is_not_gone_along(of):
+    """x stood still there, and the body with it, up to 2 mm behind: "completed"."""
+    hemisphere = of(lambda x, y: 1.0 - jnp.sqrt(1.0 - x * x - y * y))
+    scene = rk.Scene(ROUND, rk.Base(hemisphere), loads=())
+    start = rk.place(scene, (1, 0, 0, 0), (0.0, 45.0, 0.0), (0.0, 0.0, 0.0))
+    upright = np.pi / 10.0  # s, at 4.5 m/s on a path of radius 0.9 m
+    before = rk.simulate(scene, start, (0.0, upright - 1e-3), rtol=1e-11)
+    assert before.succeeded
+    angle = 5.0 * float(before.final_time)
+    wanted = np.array([0.9 * np.sin(angle), 0.0, 1.0 - 0.9 * np.cos(angle)])
+    # slopes of 200: roundings and errors of steps, 1e-11 each, by that
+    np.testing.assert_allclose(before.position[-1], wanted, atol=1e-8)
+    for rtol in (1e-5, 1e-9):
+        for behind in (2e-6, 2e-5, 0.1):
+            asked = (0.0, upright + behind)
+            run = rk.simulate(scene, start, asked, rtol=rtol, max_steps=5000)
+            assert not run.succeeded
+            assert run.final_time < upright

@@ -309,6 +309,17 @@ def test_a_run_without_any_state_shows_nothing(folder, capsys):
     assert not (folder / "none.html").exists()
 
 
+def test_a_file_that_is_not_written_has_its_exit_code(folder):
+    """It was 0, which says that all are written."""
+    modes = '[modes]\nfriction = 0.3\n[[events]]\nof = "tilt"\nlevel = 0.5\n'
+    (folder / "ball.toml").write_text(BALL + modes + 'name = "switch"\n')
+    done = rollkane_with("simulate", "ball.toml", "--out", "a.nc", "-q")
+    assert "did not write a.nc" in done.output
+    assert 'would be another "switch_time"' in " ".join(done.output.split())
+    assert done.exit_code == 1
+    assert os.listdir(folder) == ["ball.toml"]
+
+
 def test_a_disk_that_refuses(folder, monkeypatch):
     def full(*_):
         raise OSError("no space left on device")

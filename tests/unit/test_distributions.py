@@ -391,6 +391,10 @@ def test_rows_of_a_file(tmp_path):
         rk.Empirical.from_table(path, ("tilt", "spin"))
     with pytest.raises(rk.FieldError, match="names none"):
         rk.Empirical.from_table(path, ())
+    for name, unit in (("spin [deg/s]", "deg/s"), ("tilt_deg", "deg")):
+        path.write_text(f"{name}\n5.0\n6.0\n")
+        with pytest.raises(rk.FieldError, match=f"is in '{unit}'"):
+            rk.Empirical.from_table(path, name)
 
 
 # Inertias

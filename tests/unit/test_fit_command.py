@@ -249,6 +249,14 @@ REFUSED = {
     "a missing column": ((*FREE, "--gyro", "wx,wy,wq"), "no column 'wq'"),
     "no value": ((*COLUMNS, *FREE, "--units", "gyro"), "'gyro' is not NAME=VALUE"),
     "twice": ((*COLUMNS, *FREE, "--sigma", "gyro=1"), "names gyro twice"),
+    "a channel twice": (
+        (*COLUMNS, *FREE, "--channel", "gyro=wy,wx,wz"),
+        "names gyro, which an option of its own gives, too",
+    ),
+    "two spellings": (
+        (*COLUMNS, *FREE, "--sigma", "contact-path=1", "--sigma", "contact_path=2"),
+        "names contact_path twice",
+    ),
     "no numbers": ((*FREE, "--gyro", "wx,wy,wz", "--sigma", "gyro=a"), "not made of"),
     "one of two": ((*COLUMNS, *FREE, "--between", "0.1"), "is not two numbers"),
     "half a prior": (

@@ -130,6 +130,10 @@ BAD = {
         '[modes]\n[[loads]]\nkind = "drag"\nlinear = -1',
         ("loads[0].linear", "must not be negative", ""),
     ),
+    "a law of slipping beside modes": (
+        '[contact]\nkind = "viscous"\ncoefficient = 5.0\n[modes]\nfriction = 0.2',
+        ("contact", "where [modes] are theirs alone acts", "leave out"),
+    ),
     "a slip of a body that rolls": (
         "",
         ("start.slip", "follows from the angular velocity", ""),

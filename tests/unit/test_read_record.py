@@ -179,6 +179,68 @@ def test_netcdf(tmp_path):
     assert "cannot be read" in refusal(tmp_path / "no.nc", **gyro)
 
 
+def test_columns_of_another_clock_are_refused(tmp_path):
+    """They were cut, or read at the times of the other, without a word."""
+    data = xarray.Dataset(
+        {
+            "rate": (("fast", "axis"), np.tile(RATES, (2, 1))),
+            "place": (("t", "axis"), RATES),
+            "turned": (("axis", "t"), RATES.T),
+        },
+        {
+            "fast": ("fast", np.linspace(0.0, 0.06, 10)),
+            "t": ("t", TIMES),
+            "axis": ["x", "y", "z"],
+        },
+    )
+    path = tmp_path / "two.nc"
+    data.to_netcdf(path, engine="h5netcdf")
+    place = {"position": ("place_x", "place_y", "place_z")}
+    rate = {"gyro": ("rate_x", "rate_y", "rate_z")}
+    assert rk.read_record(path, **place).time.size == TIMES.size
+    assert rk.read_record(path, "fast", **rate).time.size == 10
+    for time, channels in (("t", rate), ("fast", place), ("t", {**place, **rate})):
+        words = refusal(path, time, **channels)
+        assert "over 'fast'" in words
+        assert "over 't'" in words
+    turned = {"position": tuple(f"turned_{k}" for k in TIMES[:3])}
+    assert "over 'axis'" in refusal(path, **turned)
+    with pytest.raises(rk.FieldError, match="over 't'"):
+        rk.Empirical.from_table(path, ("fast", "place_x"))
+
+
+def test_results_on_fixed_axes_are_no_gyro(tmp_path):
+    """They were read as if they were on body axes."""
+    scene = rk.Scene(rk.Body(1.0, np.eye(3), rk.Sphere(0.1)))
+    start = rk.place(scene, (1, 0, 0, 0), (1, 2, 3), (0, 0, 0))
+    path = tmp_path / "run.nc"
+    run = rk.simulate(scene, start, TIMES)
+    run.to_xarray().to_netcdf(path, engine="h5netcdf")
+    rates = tuple(f"angular_velocity_{x}" for x in "xyz")
+    words = refusal(path, "time", gyro=rates)
+    assert "'angular_velocity_x' on fixed axes, and gyro is on body axes" in words
+    places = tuple(f"position_{x}" for x in "xyz")
+    found = rk.read_record(path, "time", position=places).channels["position"]
+    np.testing.assert_array_equal(found.values, run.position)
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (pandas.to_timedelta(TIMES, unit="s"), "dates or spans of time"),
+        (pandas.to_datetime(TIMES, unit="s"), "dates or spans of time"),
+        (TIMES + 0.0j, "complex numbers"),
+    ],
+)
+def test_frames_of_other_things_than_numbers_are_refused(times, said):
+    """Spans were read as their whole numbers, 0.1 s as 1e8."""
+    frame = pandas.DataFrame({"t": times, "wx": RATES[:, 0]})
+    words = refusal(frame, normal_force="wx")
+    assert said in words
+    twice = pandas.DataFrame(np.c_[TIMES, RATES[:, :2]], columns=["t", "a", "a"])
+    assert "two columns 'a'" in refusal(twice, normal_force="a")
+
+
 REFUSED = {
     "a missing column": (
         (HEADER, *WRITTEN),
@@ -244,6 +306,26 @@ REFUSED = {
         (HEADER, *WRITTEN),
         {"giro": ("wx", "wy", "wz")},
         ("read_record.giro", "did you mean 'gyro'?"),
+    ),
+    "a unit at a name's end": (
+        ("t,x_cm,y_cm,z_cm", *WRITTEN),
+        {"position": ("x_cm", "y_cm", "z_cm")},
+        ("units['position']", "'x_cm' ends like 'cm'", "units={'position': 'cm'}"),
+    ),
+    "times that end in another unit": (
+        ("t_ms,wx,wy,wz", *WRITTEN),
+        {"time": "t_ms", **GYRO},
+        ("units['time']", "ends like 'ms'"),
+    ),
+    "a column twice": (
+        (HEADER, *WRITTEN),
+        {"gyro": ("wx", "wy", "wy")},
+        ("names a column twice",),
+    ),
+    "times as samples": (
+        (HEADER, *WRITTEN),
+        {"gyro": ("t", "wy", "wz")},
+        ("or that of the times",),
     ),
     "no channel": ((HEADER, *WRITTEN), {}, ("names no channel",)),
     "too few columns": (

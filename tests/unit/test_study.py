@@ -159,6 +159,10 @@ REFUSED = {
         "Study.events[0]: is called as Study.observe['energy'] is, got 'energy'; give "
         "each its own name; an event without one, Event(..., name=...), takes that of",
     ),
+    "an observable called as what is kept of an event": (
+        dict(observe={"x time": energy}, events=rk.Event(energy, name="x")),
+        "Study.observe['x time']: is called as what is kept of the event 'x'",
+    ),
     "no observable": (dict(observe={"energy": 1.0}), "must be a function"),
     "text": (dict(observe={"a": lambda *at: "text"}), "cannot be used"),
     "complex": (dict(observe={"a": lambda *at: 1j}), "gives a complex"),

@@ -51,6 +51,15 @@ stop = true
 )
 
 
+MASS = """
+[vary."scene.body.mass"]
+distribution = "uniform"
+low = 5.0
+high = 6.0
+
+"""
+
+
 def written(folder, text):
     file = folder / "study.toml"
     file.write_text(text)
@@ -186,6 +195,10 @@ WRONG = {
     "twice": (
         ('[vary."body.mass"]', '[vary."start.angular_velocity"]'),
         ("varies what start.angular_velocity[2] varies, too",),
+    ),
+    "in another spelling": (
+        ('[vary."body.mass"]', MASS + '[vary."body.mass"]'),
+        ("body.mass", "varies what scene.body.mass varies, too"),
     ),
     "a distribution": (('"normal"', '"gauss"'), ("is no known kind", "normal")),
     "a list of them": (('"normal"', '["normal"]'), ("is no known kind",)),

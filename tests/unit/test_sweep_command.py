@@ -304,6 +304,15 @@ def test_a_second_contact_ends_a_point(tmp_path):
     assert columns["outcome"] == ["completed", "second contact"]
 
 
+def test_events_that_a_table_cannot_tell_apart_are_refused(tilting):
+    """The first one was lost."""
+    named = [EVENT.replace('"low"', f'"{name}"') for name in ("a/b", "a_b")]
+    tilting.write_text(tilting.read_text().replace(EVENT, "".join(named)))
+    done = rollkane_with("sweep", str(tilting), "--vary=body.mass=1,2")
+    assert done.exit_code == 2
+    assert "two events would have the columns of 'a_b'" in " ".join(done.output.split())
+
+
 def test_an_event_that_would_hide_a_column_is_refused(tilting):
     tilting.write_text(tilting.read_text().replace('"low"', '"final"'))
     done = rollkane_with("sweep", str(tilting), "--vary=body.mass=1,2")

@@ -13,6 +13,7 @@ from typing import Any
 import click
 
 from .json_text import json_text
+from .named_values import each, pairs, two
 from .option_values import quiet_option, refuse
 from .output_files import check_targets, force_option, telling_of_files
 from .preparation import STOPPED_EARLY, loaded, scene_argument, start_jax
@@ -146,7 +147,7 @@ def fit(
     check_targets(targets, scene, data, force=force)
     if profile and options["loss"] != "linear":
         refuse("--profile", "is of chi-square, and so of --loss linear alone")
-    named = {name: _pairs(name, options[name]) for name in (*_NAMED, "channel")}
+    named = {name: pairs(name, options[name]) for name in (*_NAMED, "channel")}
     start_jax()
     file = loaded(ctx, scene)
 
@@ -170,34 +171,6 @@ def fit(
         ctx.exit(STOPPED_EARLY)
 
 
-def _pairs(option: str, given: Sequence[str]) -> dict[str, str]:
-    """``NAME=TEXT`` of an option that may be given several times."""
-    found: dict[str, str] = {}
-    for one in given:
-        name, equals, text = one.partition("=")
-        if not equals or not name.strip() or not text.strip():
-            refuse(f"--{option}", f"{one!r} is not NAME=VALUE")
-        if name.strip() in found:
-            refuse(f"--{option}", f"names {name.strip()} twice")
-        found[name.strip()] = text.strip()
-    return found
-
-
-def _numbers(option: str, text: str) -> list[float | None]:
-    """Numbers between commas; None where there is nothing."""
-    try:
-        return [float(part) if part.strip() else None for part in text.split(",")]
-    except ValueError:
-        refuse(f"--{option}", f"{text!r} is not made of numbers between commas")
-
-
-def _two(option: str, text: str) -> tuple[float | None, float | None]:
-    numbers = _numbers(option, text)
-    if len(numbers) != 2:
-        refuse(f"--{option}", f"{text!r} is not two numbers with a comma between them")
-    return numbers[0], numbers[1]
-
-
 def _found(
     file: Any,
     data: str,
@@ -208,20 +181,25 @@ def _found(
     """The fit."""
     from ..files.records import read_record
     from ..identification.fitting import fit as find
+    from ..uncertainty.scene_model import started_at
 
     def own(option: str) -> dict[str, str]:
         return {name.replace("-", "_"): text for name, text in named[option].items()}
 
     kinds = [name.replace("-", "_") for name, *_ in _CHANNELS]
-    columns = {name: options[name] for name in kinds if options[name]} | own("channel")
+    columns = {name: options[name] for name in kinds if options[name]}
+    more = own("channel")
+    for name in more.keys() & columns.keys():
+        refuse("--channel", f"names {name}, which an option of its own gives, too")
+    columns |= more
     between = options["between"]
     record = read_record(
         data,
         options["time"],
-        sigma={name: _each("sigma", text) for name, text in own("sigma").items()},
+        sigma={name: each("sigma", text) for name, text in own("sigma").items()},
         units=own("units"),
-        at={name: _each("at", text) for name, text in own("at").items()},
-        between=_two("between", between) if between else None,
+        at={name: each("at", text) for name, text in own("at").items()},
+        between=two("between", between) if between else None,
         **{
             name: [c.strip() for c in text.split(",")] for name, text in columns.items()
         },
@@ -229,7 +207,7 @@ def _found(
     _hint_of_times(float(record.time[-1] - record.time[0]), file.times)
     return find(
         file.scene,
-        file.start,
+        started_at(file, float(record.start_time)),
         record,
         _free(options["free"], named),
         modes=file.modes,
@@ -256,11 +234,6 @@ def _hint_of_times(lasts: float, times: Any) -> None:
         )
 
 
-def _each(option: str, text: str) -> Any:
-    numbers = _numbers(option, text)
-    return numbers[0] if len(numbers) == 1 else numbers
-
-
 def _free(paths: Sequence[str], named: dict[str, dict[str, str]]) -> list[Any]:
     """The parameters, with what options say of them."""
     from ..identification.parameters import Free
@@ -274,11 +247,11 @@ def _free(paths: Sequence[str], named: dict[str, dict[str, str]]) -> list[Any]:
         bounds, prior = named["bounds"].get(path), named["prior"].get(path)
         given = None
         if prior is not None:
-            mean, deviation = _two("prior", prior)
+            mean, deviation = two("prior", prior)
             if mean is None or deviation is None:
                 refuse("--prior", f"{prior!r} wants a mean and a standard deviation")
             given = mean, deviation
-        limits = None if bounds is None else _two("bounds", bounds)
+        limits = None if bounds is None else two("bounds", bounds)
         found.append(Free(path, limits, given, named["form"].get(path)))
     return found
 

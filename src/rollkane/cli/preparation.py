@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-BAD_INPUT, STOPPED_EARLY = 2, 3  # exit codes
+FAILED, BAD_INPUT, STOPPED_EARLY = 1, 2, 3  # exit codes
 _EXTRA_OPTIONS = "xla_backend_extra_options"
 _FAST_LOOPS = f"--{_EXTRA_OPTIONS}=xla_cpu_small_while_loop_byte_threshold=65536"
 

@@ -17,7 +17,14 @@ from .event_options import ended, event_lines, watched
 from .json_text import json_text
 from .option_values import quiet_option, verbose_option
 from .output_files import check_targets, force_option, write
-from .preparation import STOPPED_EARLY, Positive, loaded, scene_argument, start_jax
+from .preparation import (
+    FAILED,
+    STOPPED_EARLY,
+    Positive,
+    loaded,
+    scene_argument,
+    start_jax,
+)
 from .waiting import INTERRUPTED, waited
 
 # a run that took this long is not repeated to tell compiling from running [s]
@@ -122,9 +129,9 @@ def simulate(
 ) -> None:
     """Run SCENE, a built-in scene (see `rollkane scenes`) or a TOML file.
 
-    Exit code 0: done, or ended by an event that was to end it; 2: bad input, nothing
-    written; 3: the motion could not be followed to its end, 130: Ctrl-C; what was
-    reached is written.
+    Exit code 0: done, or ended by an event that was to end it; 1: a file could not be
+    written; 2: bad input, nothing written; 3: the motion could not be followed to its
+    end, 130: Ctrl-C; what was reached is written.
     """
     asked = {name: options.pop(name) for name in _WRITTEN}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
@@ -152,6 +159,8 @@ def simulate(
             err=True,
         )
         ctx.exit(INTERRUPTED if interrupted else STOPPED_EARLY)
+    if len(written) < len(targets):
+        ctx.exit(FAILED)
 
 
 def times_of(file: Any, duration: float | None, outputs: int | None) -> Any:

@@ -155,11 +155,17 @@ def _refuse_untold(groups: list[Group], times: list[Any], out: str | None) -> No
     import numpy as np
 
     from ..files.file_endings import TABLES, ending
+    from .sweep_result import column_of
 
     for group in groups:
-        if any(event.name == "final" for event in group.files[0].events):
+        names = [column_of(event.name) for event in group.files[0].events]
+        if "final" in names:
             problem = "an event is called 'final', and final_time is the motion's end"
             raise click.UsageError(f"{problem}: give it another name")
+        if len({*names}) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            problem = f"two events would have the columns of {twice!r}"
+            raise click.UsageError(f"{problem}: give one of them another name")
     one_axis = all(np.array_equal(times[0], own) for own in times)
     if not one_axis and out is not None and ending(Path(out)) not in TABLES:
         refuse("--out", f"{out}: points have output times of their own; write a .csv")

@@ -135,11 +135,16 @@ def _parts(name: str, shape: tuple[int, ...]) -> list[tuple[str, Any]]:
     return [(f"{name}_{axis}", (..., k)) for k, axis in enumerate(_AXES[shape[0]])]
 
 
+def column_of(event: str) -> str:
+    """What the columns of an event's name begin with: NetCDF has no names with /."""
+    return event.replace("/", "_")
+
+
 def _events_of(block: Any) -> dict[str, Any]:
     """How often each event happened, and when first [s]; NaN where it did not."""
     found: dict[str, Any] = {}
     for event, crossings in block.events.items():
-        name = event.replace("/", "_")  # NetCDF has no names with it
+        name = column_of(event)
         found[f"{name}_count"] = np.asarray(crossings.count)
         found[f"{name}_time"] = np.asarray(crossings.times)[:, 0]
     return found

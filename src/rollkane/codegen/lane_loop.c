@@ -1,7 +1,7 @@
 /* Many motions in one loop over lanes. Before this text: lane_math.h, watch.h, and generated N
  * (numbers of a state), OWN (numbers of a model that differ), STAGES, ORDER, NUMBERS and ROWS
  * (that prepare leaves for rates), and prepare, rates, attempt; where WATCHED, the number of
- * plane vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
+ * vectors that no step may reverse, is not zero, also WATCH_NUMBERS and WATCH_ROWS,
  * prepare_watch and rates_watch; where ENDS, a whole program that is asked where a step may
  * end, ENDS_SMALL and given_at_end (step_ends.py).
  *
@@ -96,14 +96,15 @@ INLINE row towards(int only, row goal, row t, row dt) {
 INLINE mask unbroken(const Queue *q, const Prepared *p, const Lanes *a, const row *y) {
     const real *u = p->watch_u;
     const row *v = p->watch_v;
-    row before[2 * WATCHED], after[2 * WATCHED];
+    row before[3 * WATCHED], after[3 * WATCHED];
     mask stands = mask_of(1);
     const real nearest = C(fmin)(NEAREST * q->rtol, (real)1 / CLOSEST);
     const row least = splat(nearest * nearest);
     rates_watch(q->sense * a->t, a->y, a->own, q->shared, NULL, u, v, before);
     rates_watch(q->sense * a->t_end, y, a->own, q->shared, NULL, u, v, after);
-    for (int i = 0; i < 2 * WATCHED; i += 2)
-        stands &= before[i] * after[i] + before[i + 1] * after[i + 1] > least;
+    for (int i = 0; i < 3 * WATCHED; i += 3)
+        stands &= before[i] * after[i] + before[i + 1] * after[i + 1]
+                + before[i + 2] * after[i + 2] > least;
     return stands;
 }
 #endif

@@ -104,7 +104,7 @@ class Source(NamedTuple):
             is given in ``shared``.
         back: Of the cotangents; None where they are not asked for.
         watch: Of the vectors that no step may reverse; None where there are none.
-        watched: How many plane vectors those are.
+        watched: How many vectors those are.
         events: Of the rates, and behind them the values of events; None where there
             are none.
         layout: Of those.
@@ -183,7 +183,7 @@ def lanes_source(
         behind = sum(math.prod(x.shape) for x in traced)
         watched, more, size = lanes.written(watch, behind, "_watch", "d")
         closed = [*traced, *more]
-        source = Source(made, closed, watch=watched, watched=size // 2)
+        source = Source(made, closed, watch=watched, watched=size // 3)
     if events is None:
         return source
     behind = sum(math.prod(x.shape) for x in source.closed)

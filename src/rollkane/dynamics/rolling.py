@@ -49,7 +49,9 @@ def contact_of(scene: Scene, t: Float[Array, ""], state: AnyState) -> Contact:
 def watches_headings(scene: Scene) -> bool:
     """Whether a normal of a surface could pass where its inverse Gauss map jumps."""
     inner = any(watches_headings(part.scene) for part in rolling_parts(scene.supported))
-    return inner or any(function is not None for function in _headings(scene))
+    body, base = scene.body.surface, scene.base.surface
+    turns = body.may_turn_over or base.may_turn_over
+    return inner or turns or any(x is not None for x in _headings(scene))
 
 
 def _headings(scene: Scene) -> tuple[_Heading | None, _Heading | None]:
@@ -60,8 +62,11 @@ def _headings(scene: Scene) -> tuple[_Heading | None, _Heading | None]:
 
 def headings(
     scene: Scene, t: Float[Array, ""], state: AnyState
-) -> list[Float[Array, "2"]]:
-    """Parts of the normals that no step may reverse, for a scene that watches them.
+) -> list[Float[Array, "3"]]:
+    """What no step may reverse of the normals, for a scene that watches them.
+
+    Parts of them (zero behind), or those of charts, which turn over at a pole; they
+    vanish where the step that comes next may.
 
     Args:
         scene: What rolls on what.
@@ -71,16 +76,21 @@ def headings(
     of_body, of_base = _headings(scene)
     body, base = scene.body.surface, scene.base.surface
     if isinstance(state, VoronetsState):
-        out = base.chart_geometry(state.contact_on_base).normal
-        own = body.chart_geometry(state.contact_on_body).normal
+        ground = base.chart_geometry(state.contact_on_base)
+        shell = body.chart_geometry(state.contact_on_body)
+        own = shell.normal
     else:
         motion = scene.base.motion
         moving = None if motion is None else motion.at(t)
         to_base = body_to_base(rotation_matrix(state.orientation), moving)
-        out = base.geometry(state.contact_on_base).normal
-        own = -matvec_transposed(to_base, out)
-    both = (of_body, own), (of_base, out)
-    found = [part(normal) for part, normal in both if part is not None]
+        ground, shell = base.geometry(state.contact_on_base), None
+        own = -matvec_transposed(to_base, ground.normal)
+        if scene.has_contact_coordinates:
+            shell = body.geometry(state.contact_on_body)
+    both = (of_body, own), (of_base, ground.normal)
+    found = [jnp.pad(part(normal), (0, 1)) for part, normal in both if part is not None]
+    charts = (body, shell), (base, ground)
+    found += [x.upright for s, x in charts if s.may_turn_over and x is not None]
     for part, own in zip(rolling_parts(scene.supported), state.supported, strict=True):
         found += headings(part.scene, t, own)
     return found

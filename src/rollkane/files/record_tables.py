@@ -17,9 +17,28 @@ from .file_endings import NETCDF, ending
 
 READER = "read_record"
 _MISSING = {"", "nan"}  # cells without a sample, in any case
+# kinds of arrays whose numbers are none of samples
+_SPAN = "dates or spans of time"
+_STRANGE = {"c": "complex numbers", "m": _SPAN, "M": _SPAN}
 _SEPARATORS = "\t;,"  # that which the header has first of these separates cells
 # a column's name that ends in its unit: "wx [deg/s]", "ax (g)"
 _NAMED_UNIT = re.compile(r".+?[\s_]*(?:\[\s*([^][]+?)\s*\]|\(\s*([^()]+?)\s*\))$")
+# what a name ends in, behind a mark: "x_cm", "w deg/s"
+_END = re.compile(r".*[\s_]([^\s_]+)$")
+
+
+class About(NamedTuple):
+    """What a table says of a column besides its samples; None: nothing.
+
+    Attributes:
+        unit: Its unit, or that in its name.
+        along: What its rows are over, where columns differ in it.
+        axes: That its numbers are on.
+    """
+
+    unit: str | None = None
+    along: str | None = None
+    axes: str | None = None
 
 
 class Table(NamedTuple):
@@ -30,29 +49,33 @@ class Table(NamedTuple):
         names: Of the columns, in order.
         cells: ``cells(name)`` -> a column's cells, of any type.
         row: ``row(k)`` -> what row k is called, for messages.
-        units: Units of columns, where the table has them, or their names.
+        about: What else is known of columns, by name.
     """
 
     source: str
     names: tuple[str, ...]
     cells: Callable[[str], Sequence[Any]]
     row: Callable[[int], str]
-    units: dict[str, str]
+    about: dict[str, About]
 
     def refuse(self, field: str, value: Any, problem: str, remedy: str) -> NoReturn:
         """Raise, naming the source."""
         name = f"{READER}.{field}"
         raise FieldError(name, value, f"{self.source}: {problem}", remedy)
 
-    def column(self, field: str, name: str) -> Float[np.ndarray, " T"]:
+    def column(
+        self, field: str, name: str, beside: str | None = None
+    ) -> Float[np.ndarray, " T"]:
         """A column of numbers, NaN where a cell is missing.
 
         Args:
             field: Argument that asks for it.
             name: Of the column.
+            beside: Another column, whose rows must be the same.
 
         Raises:
-            FieldError: no such column, or two of the name; cells that are not numbers.
+            FieldError: no such column, or two of the name; cells that are not numbers;
+                rows of another clock.
         """
         if self.names.count(name) != 1:
             known = ", ".join(self.names)
@@ -63,7 +86,13 @@ class Table(NamedTuple):
             meant = f"did you mean {near[0]!r}? " if near else ""
             remedy = f"{meant}the columns are: {known}"
             self.refuse(field, name, f"has no column {name!r}", remedy)
+        if beside is not None:
+            self._check_rows(field, name, beside)
         cells = self.cells(name)
+        strange = _STRANGE.get(getattr(getattr(cells, "dtype", None), "kind", ""))
+        if strange is not None:
+            problem = f"column {name!r} holds {strange}"
+            self.refuse(field, name, problem, "give real numbers, times in seconds")
         try:
             numbers = np.asarray(cells, float)
         except (TypeError, ValueError):
@@ -73,6 +102,17 @@ class Table(NamedTuple):
         if np.isinf(numbers).any():
             self._refuse_cell(int(np.argmax(np.isinf(numbers))), name, "inf")
         return numbers
+
+    def _check_rows(self, field: str, name: str, beside: str) -> None:
+        own, other = self.of(name).along, self.of(beside).along
+        if own != other:
+            problem = f"has {name!r} over {own!r}, and {beside!r} over {other!r}"
+            remedy = "take columns over one and the same, each clock as its own record"
+            self.refuse(field, name, problem, remedy)
+
+    def of(self, name: str) -> About:
+        """What is known of a column."""
+        return self.about.get(name, About())
 
     def _number(self, row: int, name: str, cell: Any) -> float:
         if cell is None or str(cell).strip().lower() in _MISSING:
@@ -141,14 +181,20 @@ def _of_csv(path: str | os.PathLike[str]) -> Table:
         names=names,
         cells=cells,
         row=lambda k: f"line {numbers[k + 1] + 1}",
-        units=_named_units(names),
+        about=_by_names(names),
     )
 
 
-def _named_units(names: Sequence[str]) -> dict[str, str]:
+def _by_names(names: Sequence[str]) -> dict[str, About]:
     """Units that columns have in brackets behind their names."""
     found = ((name, _NAMED_UNIT.match(name)) for name in names)
-    return {name: m[1] or m[2] for name, m in found if m is not None}
+    return {name: About(m[1] or m[2]) for name, m in found if m is not None}
+
+
+def end_of_name(name: str) -> str:
+    """What a column's name ends in, which may be a unit; empty: in nothing."""
+    end = _END.match(name)
+    return "" if end is None else end[1]
 
 
 def _is_number(cell: str) -> bool:
@@ -168,21 +214,23 @@ def _of_netcdf(path: str | os.PathLike[str]) -> Table:
             "NetCDF files need xarray: pip install 'rollkane[results]'"
         ) from error
     columns: dict[str, Any] = {}
-    units: dict[str, str] = {}
+    about: dict[str, About] = {}
     try:
         # times and spans of time stay numbers
         with xarray.open_dataset(Path(path), decode_times=False) as data:
             for name, variable in data.variables.items():
                 for label, values in _parts(data, variable):
                     columns[f"{name}{label}"] = values
-                    if "units" in variable.attrs:
-                        units[f"{name}{label}"] = str(variable.attrs["units"])
+                    known = (variable.attrs.get(x) for x in ("units", "axes"))
+                    unit, axes = (None if x is None else str(x) for x in known)
+                    along = str(variable.dims[0])
+                    about[f"{name}{label}"] = About(unit, along, axes or None)
     except (OSError, ValueError) as error:
         field, remedy = f"{READER}.path", "give the path of a NetCDF file"
         raise FieldError(
             field, str(path), f"cannot be read: {error}", remedy
         ) from error
-    return _of_columns(str(path), columns, units)
+    return _of_columns(str(path), columns, about)
 
 
 def _parts(data: Any, variable: Any) -> list[tuple[str, np.ndarray]]:
@@ -199,14 +247,18 @@ def _parts(data: Any, variable: Any) -> list[tuple[str, np.ndarray]]:
 def _of_frame(frame: Any) -> Table:
     names = [str(name) for name in frame.columns]
     given = zip(names, frame.columns, strict=True)
-    columns = {name: np.asarray(frame[key]) for name, key in given}
-    return _of_columns("the data frame", columns, _named_units(names))
+    # of two columns of a name neither is read
+    columns = {
+        name: np.asarray(frame[key]) for name, key in given if names.count(name) == 1
+    }
+    table = _of_columns("the data frame", columns, _by_names(names))
+    return table._replace(names=tuple(names))
 
 
-def _of_columns(source: str, columns: dict[str, Any], units: dict[str, str]) -> Table:
+def _of_columns(source: str, columns: dict[str, Any], about: dict[str, About]) -> Table:
     if not any(len(cells) for cells in columns.values()):
         problem, remedy = f"{source}: has no rows of samples", "give one with samples"
         raise FieldError(f"{READER}.path", source, problem, remedy)
     return Table(
-        source, tuple(columns), columns.__getitem__, lambda k: f"row {k}", units
+        source, tuple(columns), columns.__getitem__, lambda k: f"row {k}", about
     )

@@ -16,7 +16,7 @@ from ..identification.records import Record
 from ..validation.checks import FieldError
 from .accelerogram_units import TIMES
 from .accelerogram_units import UNITS as ACCELERATIONS
-from .record_tables import READER, Table, table_of
+from .record_tables import READER, Table, end_of_name, table_of
 
 Columns = str | Sequence[str]
 
@@ -36,24 +36,29 @@ class Kind(NamedTuple):
         make: The channel of samples, sigma, and ``at`` where it has one.
         columns: How many it is read from.
         units: What they may be in, each by its worth in SI.
+        axes: That its numbers are on, as tables of runs name them.
         placed: Whether it is of a point of the body.
     """
 
     make: Callable[..., AbstractChannel]
     columns: int
     units: Mapping[str, float]
+    axes: str
     placed: bool = False
 
 
 KINDS = {
-    "gyro": Kind(body_sensors.Gyro, 3, _RATES),
-    "accelerometer": Kind(body_sensors.Accelerometer, 3, _ACCELERATIONS, placed=True),
-    "position": Kind(sensors.Position, 3, _LENGTHS, placed=True),
-    "orientation": Kind(sensors.Orientation, 4, {"1": 1.0}),
-    "marker": Kind(sensors.Marker, 3, _LENGTHS, placed=True),
-    "contact_path": Kind(sensors.ContactPath, 3, _LENGTHS),
-    "normal_force": Kind(sensors.NormalForce, 1, _FORCES),
+    "gyro": Kind(body_sensors.Gyro, 3, _RATES, "body"),
+    "accelerometer": Kind(
+        body_sensors.Accelerometer, 3, _ACCELERATIONS, "body", placed=True
+    ),
+    "position": Kind(sensors.Position, 3, _LENGTHS, "fixed", placed=True),
+    "orientation": Kind(sensors.Orientation, 4, {"1": 1.0}, "body to fixed"),
+    "marker": Kind(sensors.Marker, 3, _LENGTHS, "fixed", placed=True),
+    "contact_path": Kind(sensors.ContactPath, 3, _LENGTHS, "base"),
+    "normal_force": Kind(sensors.NormalForce, 1, _FORCES, ""),
 }
+_AXES = "fixed", "body", "base", "body to fixed", "base to fixed", "own to fixed"
 
 
 def read_record(
@@ -82,7 +87,7 @@ def read_record(
         units: Of the columns by channel, where they are not SI: "deg/s"; "g", "cm/s2",
             "mm/s2"; "cm", "mm"; "mN", "kN"; "time": "ms", "us". A NetCDF file's own
             units count without it, and those in brackets behind a column's name:
-            "wx [deg/s]", "ax (g)".
+            "wx [deg/s]", "ax (g)". A name that ends in one ("x_cm") needs it.
         at: Where a sensor or marker sits by channel, body axes [m], shape (3,).
         between: First and last time [s] of the rows that are kept, which keep their
             times; None for all, or for either end.
@@ -109,9 +114,10 @@ def read_record(
     kept = _kept(table, times, between)
     found: dict[str, AbstractChannel] = {}
     for name, kind in kinds.items():
-        names = _names(name, channels[name], kind.columns)
+        names = _names(name, channels[name], kind.columns, time)
+        columns = [table.column(name, one, beside=time)[kept] for one in names]
         worth = _worth(table, name, names, kind.units, units.get(name))
-        columns = [table.column(name, one)[kept] for one in names]
+        _check_axes(table, name, names, kind.axes)
         samples = worth * np.stack(columns, axis=1)
         place = _place(name, kind, at)
         found[name] = kind.make(samples, sigma.get(name), **place)
@@ -150,11 +156,14 @@ def _check_keys(field: str, given: Mapping[str, Any], known: list[str]) -> None:
             raise FieldError(f"{READER}.{field}", name, "is not read", remedy)
 
 
-def _names(channel: str, columns: Columns, count: int) -> tuple[str, ...]:
+def _names(channel: str, columns: Columns, count: int, time: str) -> tuple[str, ...]:
     names = (columns,) if isinstance(columns, str) else tuple(map(str, columns))
+    remedy = 'give their names, for example ("wx", "wy", "wz")'
     if len(names) != count:
         problem = f"must name {count} column{'s' if count > 1 else ''}"
-        remedy = 'give their names, for example ("wx", "wy", "wz")'
+        raise FieldError(f"{READER}.{channel}", columns, problem, remedy)
+    if len({*names, time}) != count + 1:
+        problem = "names a column twice, or that of the times"
         raise FieldError(f"{READER}.{channel}", columns, problem, remedy)
     return names
 
@@ -167,16 +176,38 @@ def _worth(
     unit: str | None,
 ) -> Float[np.ndarray, " k"]:
     """What the columns' units are worth in SI."""
+    field = f"{READER}.units[{channel!r}]"
     worth = np.ones(len(names))
     for k, name in enumerate(names):
-        own = table.units.get(name) if unit is None else unit
+        own = table.of(name).unit if unit is None else unit
         if own is not None and own not in known:
             whose = "" if unit is not None else f" of column {name!r}"
             remedy = f"give units={{{channel!r}: ...}}, one of: {', '.join(known)}"
-            field = f"{READER}.units[{channel!r}]"
             raise FieldError(field, own, f"is no known unit{whose}", remedy)
         worth[k] = 1.0 if own is None else known[own]
+        if own is None:
+            _refuse_suffix(field, channel, name, known)
     return worth
+
+
+def _refuse_suffix(
+    field: str, channel: str, name: str, known: Mapping[str, float]
+) -> None:
+    """Refuse a column of no told unit whose name ends like one that is not of SI."""
+    end = end_of_name(name)
+    if known.get(end, 1.0) != 1.0:
+        problem = f"is not given, and {name!r} ends like {end!r}"
+        remedy = f"give units={{{channel!r}: {end!r}}}, or the unit that it is in"
+        raise FieldError(field, None, problem, remedy)
+
+
+def _check_axes(table: Table, channel: str, names: Sequence[str], axes: str) -> None:
+    for name in names:
+        said = table.of(name).axes
+        if said in _AXES and said != axes:
+            problem = f"has {name!r} on {said} axes, and {channel} is on {axes} axes"
+            remedy = "turn it first: of a run `state` has body axes, its results fixed"
+            table.refuse(channel, name, problem, remedy)
 
 
 def _place(name: str, kind: Kind, at: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
@@ -203,7 +234,7 @@ def _times(table: Table, column: str, unit: str | None) -> Float[np.ndarray, " T
             f"{written[k - 1]:.9g}"
         )
         table.refuse("time", column, problem, "sort the rows, and leave repeats out")
-    told = unit is not None or column in table.units
+    told = unit is not None or table.of(column).unit is not None
     whole = bool(np.all(written == np.round(written)))
     if not told and whole and steps.size and np.median(steps) > _LONG_STEP:
         message = (

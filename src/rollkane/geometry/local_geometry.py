@@ -12,6 +12,7 @@ from typing import cast
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.tracing import shared_in_c
@@ -106,6 +107,18 @@ class LocalGeometry(eqx.Module):
         squares, along = (dot(first, first), dot(second, second)), dot(first, second)
         area = squares[0] * squares[1] - along * along
         return jnp.sqrt(jnp.maximum(area, 0.0)) / jnp.maximum(*squares)
+
+    @property
+    def upright(self) -> Float[Array, "3"]:
+        """The normal, as long as the coordinates are regular, none at a pole [1].
+
+        Behind the pole of a chart ``d1 x d2`` is the normal on the other side. Where it
+        becomes upright, as x and y on a hemisphere, they come to stand still but for
+        steps that roundings fill: below a third of the digits that is a pole, too.
+        """
+        regular = self.regularity
+        least = float(np.finfo(regular.dtype).eps) ** (1.0 / 3.0)
+        return self.normal * jnp.where(regular < least, 0.0, regular)
 
     def turned_over(self) -> "LocalGeometry":
         """The same point with the frame (e1, -e2, -e3): e3 into the material."""
@@ -204,6 +217,9 @@ def from_height(
 
     l11 = jnp.sqrt(1.0 + z_1 * z_1)
     steep = jnp.sqrt(1.0 + z_1 * z_1 + z_2 * z_2)
+    # where it is upright x and y stand still but for steps that roundings fill
+    upright = float(np.finfo(steep.dtype).eps) ** -0.25
+    l11 = jnp.where(steep < upright, l11, jnp.nan)
     l12, l22 = z_1 * z_2 / l11, orientation * steep / l11
     up = orientation / steep
     b11, b12, b22 = z_11 * up, z_12 * up, z_22 * up

@@ -71,7 +71,9 @@ def score_moments(
         residual: Over their deviations, shape (N,); zeros are no samples.
         loss: Of their squares.
         taken: How many of the samples coordinates take out: psi^2 of what is left is
-            the less by it.
+            the less by it, and the more uneven psi' is, the less is known of its mean,
+            which Huber's factor ``K = 1 + taken / N var(psi') / mean(psi')^2`` allows
+            for.
 
     Source: Huber, Robust Statistics (1981), section 7.6.
     """
@@ -83,10 +85,12 @@ def score_moments(
         return r * loss.weight(r * r)
 
     step = 1e-4  # by differences: 1e-8 of the slope of numbers of about one
-    slope = float(np.mean(psi(known + step) - psi(known - step))) / (2.0 * step)
-    square = np.sum(psi(known) ** 2) / max(known.size - taken, LEAST_LEFT)
+    slopes = (psi(known + step) - psi(known - step)) / (2.0 * step)
     # a loss that falls off over most samples tells next to nothing by them
-    return max(slope, _LEAST_SCORE), float(square)
+    slope = max(float(np.mean(slopes)), _LEAST_SCORE)
+    uneven = 1.0 + taken / known.size * float(np.var(slopes)) / slope**2
+    square = np.sum(psi(known) ** 2) / max(known.size - taken, LEAST_LEFT)
+    return slope, uneven**2 * float(square)
 
 
 def scale_of(residual: np.ndarray, left: float, loss: Loss) -> float:

@@ -77,7 +77,9 @@ def posterior(
     potential = _potential(fit.problem, z, root)
     samples, diverged = _sampled(potential, starts, each, warmup, seed)
     found = z + samples @ root.T
-    values = layout.by_path(lambda e: np.stack([e.at(x).value for x in found]))
+    # draws in front, before the records of those that have their own
+    each_draw = [layout.by_path(lambda e, x=x: e.at(x).value) for x in found]
+    values = {p: np.stack([one[p] for one in each_draw]) for p in each_draw[0]}
     result = PosteriorDraws(values, chains, diverged)
     for message in result.doubts():
         warnings.warn(message, UserWarning, stacklevel=2)
@@ -94,9 +96,14 @@ def _check(fit: Fit) -> None:
     if fit.unseen:
         remedy = "hold one of them, or give a prior"
         raise FieldError("posterior.fit", fit.unseen, "has unseen parameters", remedy)
-    if np.isfinite(layout.lower).any() or np.isfinite(layout.upper).any():
-        remedy = "leave bounds out, or give priors instead"
-        raise FieldError("posterior.fit", "...", "has bounded parameters", remedy)
+    limits = ((e.name, np.isfinite([e.lower, e.upper])) for e in layout.entries)
+    bounded = tuple(name for name, known in limits if known.any())
+    if bounded:
+        remedy = (
+            "leave bounds out, or give priors instead; of what is never negative, as "
+            'friction and drag are, free the factor: form="scale"'
+        )
+        raise FieldError("posterior.fit", bounded, "has bounded parameters", remedy)
     if fit.loss != "linear":
         raise FieldError("posterior.fit.loss", fit.loss, "is not a likelihood", "refit")
 

@@ -44,7 +44,7 @@ class Problem(NamedTuple):
         consistent: ``consistent(model, t, state)`` -> the state as the constraints
             allow it.
         unbroken: ``unbroken(model, like)`` -> ``vectors(model, t, state)``, a list of
-            plane vectors none of which a step may reverse; None: every step may stand.
+            vectors none of which a step may reverse; None: every step may stand.
             ``like`` has the shapes of a state.
     """
 

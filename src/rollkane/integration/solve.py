@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..codegen import Course, Looked, RunLoop, in_one_program_or_not, least_product
 from ..codegen.tableau import is_plain, weights_of
+from ..geometry.small_linear import dot
 from ..kinematics.coordinates import unpack
 from ..validation.codes import Code
 from .diffrax_checks import checked_before
@@ -201,7 +202,7 @@ def _holds(plan: Plan, model: Any, like: Any) -> Holds | None:
         if vectors is not None:
             ends = vectors(model, t0, first), vectors(model, t1, last)
             for a, b in zip(*ends, strict=True):
-                stands &= a[0] * b[0] + a[1] * b[1] > least_product(rtol)
+                stands &= dot(a, b) > least_product(rtol)
         if allowed is not None:
             stands &= allowed(model, t1, last)
         return stands

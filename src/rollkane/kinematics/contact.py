@@ -375,7 +375,9 @@ def _aligned(
 
     Integration error would otherwise open a gap: an error of 2e-8 grew to 3e-5 in 1e5
     steps without this, and stayed at 1e-17 with it. On the exact motion it does
-    nothing, so order and derivatives are untouched.
+    nothing, so order and derivatives are untouched. NaN where the normals point the
+    same way: one of a chart has turned over, behind its pole.
     """
     turn = shortest_turn(shell.frame[:, 2], normal)
+    turn = jnp.where(turn[0] > 1.0, turn, jnp.nan)
     return multiply(orientation, turn), matmul(rotation, rotation_matrix(turn))

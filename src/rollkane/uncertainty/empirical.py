@@ -8,10 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..files.record_tables import READER, table_of
+from ..files.record_tables import READER, end_of_name, table_of
 from ..validation.checks import FieldError, is_traced, real, refuse
 from .distribution_checks import described, inside, numbers, refuse_negative
 from .distributions import AbstractUnivariate
+
+# units that columns of draws may be in, of which one is not worth one of SI
+_NOT_SI = (
+    *("deg", "deg/s", "rpm", "g", "lb", "cm", "mm", "in", "ft", "cm/s", "mm/s", "km/h"),
+    *("cm/s2", "mm/s2", "ms", "us", "min", "mN", "kN"),
+)
 
 
 class Empirical(AbstractUnivariate):
@@ -77,7 +83,8 @@ class Empirical(AbstractUnivariate):
             weights: Name of the column of weights; None: none.
 
         Raises:
-            FieldError: what cannot be read, columns that are not there, missing cells.
+            FieldError: what cannot be read, columns that are not there, missing cells,
+                columns that say a unit which is not of SI ("[deg/s]", "x_cm").
         """
         field = "Empirical.from_table"
         single = isinstance(columns, str)
@@ -87,8 +94,11 @@ class Empirical(AbstractUnivariate):
             raise FieldError(f"{field}.columns", columns, "names none", remedy)
         try:
             table = table_of(path)
-            found = [table.column("columns", name) for name in names]
-            shares = None if weights is None else table.column("weights", weights)
+            first = names[0]
+            found = [table.column("columns", name, beside=first) for name in names]
+            shares = None
+            if weights is not None:
+                shares = table.column("weights", weights, beside=first)
         except FieldError as error:
             # said of the reader of records, which reads this table, too
             where = error.field.replace(READER, field)
@@ -98,6 +108,11 @@ class Empirical(AbstractUnivariate):
         if weights is not None and shares is not None:
             checked.append((weights, shares))
         for name, column in checked:
+            said = table.of(name).unit or end_of_name(name)
+            if said in _NOT_SI:
+                problem = f"is in {said!r} by its name or attributes, and draws are SI"
+                remedy = "convert the column, and name it so"
+                raise FieldError(f"{field}.columns", name, problem, remedy)
             missing = np.flatnonzero(np.isnan(column))
             if missing.size:
                 place = f"{table.source}, {table.row(int(missing[0]))}"

@@ -174,6 +174,11 @@ def _check_names(study: Study) -> None:
             )
             raise FieldError(where, name, problem, remedy)
         owners[name] = where
+    for event in study.event_names:
+        for kept in (f"{event} time", f"{event} count"):
+            if kept in owners:
+                problem = f"is called as what is kept of the event {event!r}"
+                raise FieldError(owners[kept], kept, problem, "give it another name")
     if not names:
         remedy = "give observe=, series= or events="
         raise FieldError("Study.observe", None, "leaves nothing to look at", remedy)

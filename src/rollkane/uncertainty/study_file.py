@@ -7,22 +7,17 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax.numpy as jnp
 
-from ..dynamics.placement import place
 from ..dynamics.ready_observables import READY
-from ..dynamics.rolling import contact_of
-from ..dynamics.scene import Scene, Slipping, under
 from ..files.scene_files.event_building import events_of
 from ..files.scene_files.loading import SceneFile, load_scene, read_tables
 from ..files.scene_files.problems import Report, SceneFileError, suggestion
-from ..files.scene_files.start_reading import start_table
-from ..hybrid.modes import Modes
 from ..identification import paths
 from ..validation.checks import FieldError
 from .checked_parts import checked, checked_parts
 from .distribution_tables import distribution_of
+from .scene_model import SceneModel, touched_at
 from .study import Study
 
 _KEYS = (
@@ -199,17 +194,28 @@ class _Checked:
 
     def _check_apart(self, where: Any, path: str, known: Mapping[str, Any]) -> None:
         """Of a number and an array that holds it, one would be drawn in vain."""
+        own = self._plain(path)
         for other in known:
-            shorter, longer = sorted((path, other), key=len)
-            if longer.startswith((f"{shorter}[", f"{shorter}.")):
+            keys = self._plain(other)
+            if own[: len(keys)] == keys[: len(own)]:
                 problem = f"varies what {other} varies, too"
                 remedy = "vary the whole, or its entries"
                 self._report.add(where, problem, remedy, at_key=True)
 
+    def _plain(self, path: str) -> paths.Keys:
+        """Keys that are the same for all spellings of a path."""
+        try:
+            keys = _keys(path)
+        except FieldError:  # told otherwise
+            return (path,)
+        return (
+            keys if self.file is None else paths.plain(SceneModel.of(self.file), keys)
+        )
+
     def _check_shape(self, where: tuple[str, ...], path: str, one: Any) -> None:
         if self.file is None:
             return
-        wanted = jnp.shape(_number_at(_Model.of(self.file), path))
+        wanted = jnp.shape(_number_at(SceneModel.of(self.file), path))
         if one.shape != wanted:
             problem = f"draws numbers of shape {one.shape}, where {wanted} is needed"
             remedy = "give arrays of that shape, or the path of one entry, such as [2]"
@@ -218,7 +224,7 @@ class _Checked:
     def _check_path(self, where: tuple[str, ...], path: str) -> None:
         assert self.file is not None
         try:
-            value = _number_at(_Model.of(self.file), path)
+            value = _number_at(SceneModel.of(self.file), path)
         except (FieldError, LookupError):
             known = [*paths.floats(self.file.scene), *_other_paths(self.file)]
             problem = "is no number of the scene, the start or the modes"
@@ -273,44 +279,9 @@ class _Checked:
         return value
 
 
-class _Model(eqx.Module):
-    """A scene, its start as it is placed, and how its contact may change.
-
-    Attributes:
-        scene: What rolls on what.
-        start: Arguments of ``place``, by name.
-        rolling: Starts of bodies that roll on the body.
-        modes: Of its contact, or None.
-    """
-
-    scene: Scene
-    start: dict[str, Any]
-    rolling: Any
-    modes: Modes | None
-
-    @staticmethod
-    def of(file: SceneFile) -> "_Model":
-        """Of a scene file, whose start is read back."""
-        scene, state = file.scene, file.start
-        time = jnp.asarray(file.times[0], state.angular_velocity.dtype)
-        start = start_table(scene, time, state)
-        # also those that a scene file has in [[supported]]
-        start |= {"alpha": state.alpha, "alpha_dot": state.alpha_dot}
-        start.pop("near_on_body", None)  # which moves with the others
-        return _Model(scene, start, state.supported, file.modes)
-
-    def placed(self, near: Any, time: Any) -> Any:
-        """The start, where the body touches next to where it did [m, body axes]."""
-        scene, start = self.scene, dict(self.start)
-        if "slip" in start and not scene.contact.slips:
-            scene = under(scene, Slipping())  # until it grips
-        known = {"near_on_body": near} if scene.has_contact_coordinates else {}
-        return place(scene, **start, **known, supported=self.rolling, time=time)
-
-
 def _other_paths(file: SceneFile) -> list[str]:
     """Of the start and of the modes."""
-    start = _Model.of(file).start
+    start = SceneModel.of(file).start
     found = [f"start.{name}" for name, x in start.items() if x.size]
     return found + ([] if file.modes is None else [*paths.floats(file.modes, "modes")])
 
@@ -332,7 +303,7 @@ def _draws_modes(varied: Iterable[str]) -> bool:
     return any(_keys(path)[0] == "modes" for path in varied)
 
 
-def _number_at(model: _Model, path: str) -> Any:
+def _number_at(model: SceneModel, path: str) -> Any:
     return paths.found(model, _keys(path))
 
 
@@ -353,17 +324,13 @@ def _first(times: Any, default: Any) -> float:
 def _make_of(
     file: SceneFile, varied: tuple[str, ...], time: float
 ) -> Callable[..., Any]:
-    model = _Model.of(file)
-    # where the body touches, by which a start among several is chosen
-    first = jnp.asarray(float(file.times[0]))
-    contact = contact_of(file.scene, first, file.start)
+    model = SceneModel.of(file)
     parts = checked_parts(model, map(_keys, varied))
-    near = contact.body_point
-    return functools.partial(_made, model, near, time, varied, parts)
+    return functools.partial(_made, model, touched_at(file), time, varied, parts)
 
 
 def _made(
-    model: _Model,
+    model: SceneModel,
     near: Any,
     time: float,
     varied: tuple[str, ...],

@@ -67,7 +67,8 @@ _REASONS = {
     Code.SURFACE_EDGE: "the contact, or the nearest point of a flight, came to where a "
     "surface ends or has no tangent plane: the flat of a disc, which comes to lie on "
     "its face (a Ring is a wire, and its contact goes round on a curved base), the tip "
-    "of a cone, the rim of a cup; look at final_time and final_state",
+    "of a cone, the rim of a cup, the pole of a chart (a Parametric of_direction has "
+    "none); look at final_time and final_state",
     Code.SECOND_CONTACT: "the body reached the base at a second place, or at several "
     "at once; look at final_time and final_state, or leave out second_contact, if it "
     "was asked for, to go on through it",

@@ -31,7 +31,13 @@ def contact_of(report: Report) -> Rolling | Slipping | None:
     if table is None:
         return Rolling()
     law = _made(("contact",), table, CONTACTS, report)
-    return law if law is None or isinstance(law, Rolling) else Slipping(law)
+    if law is None or isinstance(law, Rolling):
+        return law
+    if isinstance(report.document.get("modes"), dict):
+        problem = "has a law of slipping, and where [modes] are theirs alone acts"
+        remedy = "leave out [contact], or [modes] if the body slips throughout"
+        report.add(("contact",), problem, remedy, at_key=True)
+    return Slipping(law)
 
 
 def modes_of(report: Report) -> Modes | None:

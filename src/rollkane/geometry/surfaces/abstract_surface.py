@@ -127,6 +127,11 @@ class AbstractSurface(eqx.Module):
         return self.is_convex
 
     @property
+    def may_turn_over(self) -> bool:
+        """Whether the normal is that of a chart that may have a pole, and reverse."""
+        return False
+
+    @property
     def hull(self) -> Callable[[np.ndarray], bool] | None:
         """Whether a point [m] is in the body's convex hull, by NumPy.
 

@@ -28,6 +28,7 @@ class Plane(AbstractPairSurface):
     scene on a plane has no term of the base's curvature in its program.
     """
 
+    is_regular: ClassVar[bool] = True
     is_flat: ClassVar[bool] = True
     is_height: ClassVar[bool] = True
     is_bounded: ClassVar[bool] = False
@@ -223,6 +224,7 @@ class Torus(AbstractPairSurface):
         inside: Whether the other body touches from within the tube.
     """
 
+    is_regular: ClassVar[bool] = True
     major_radius: Float[Array, ""]
     minor_radius: Float[Array, ""]
     inside: bool = eqx.field(static=True)
@@ -321,6 +323,7 @@ class Cylinder(AbstractPairSurface):
         inside: Whether the other body touches from within.
     """
 
+    is_regular: ClassVar[bool] = True
     is_bounded: ClassVar[bool] = False
     radius: Float[Array, ""]
     inside: bool = eqx.field(static=True)

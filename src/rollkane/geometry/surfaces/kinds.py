@@ -261,6 +261,12 @@ class AbstractPairSurface(AbstractPointSurface):
     """A surface whose contact coordinates are a pair, by one chart without poles."""
 
     coordinate_count = 2
+    is_regular: ClassVar[bool] = False  # whether the chart is known to have no pole
+
+    @property
+    def may_turn_over(self) -> bool:
+        """Whether it is not known that the chart has no pole."""
+        return not self.is_regular
 
     @property
     @abc.abstractmethod

@@ -37,6 +37,10 @@ from .moved import MovedFunction
 class Parametric(AbstractPointSurface):
     """A surface by its position as a function of two parameters, or of a direction.
 
+    Where two parameters do not count for two (the poles of longitude and latitude, an
+    equator over x and y) a motion ends with ``Code.SURFACE_EDGE``; a direction has no
+    such place.
+
     Attributes:
         position: The user's function, with its parameters.
         of_direction: Whether it takes a unit vector (closed surfaces: no poles).
@@ -90,6 +94,11 @@ class Parametric(AbstractPointSurface):
         if self.of_direction:
             return SPHERE
         return self.domain
+
+    @property
+    def may_turn_over(self) -> bool:
+        """Whether it is of a pair: longitude and latitude have poles."""
+        return not self.of_direction
 
     @property
     def _orientation(self) -> float:

@@ -45,9 +45,11 @@ class Graph(AbstractPairSurface):
     Attributes:
         f: The user's function, with its parameters.
         domain: Ranges of x and y in which a body's contact point is searched, and
-            which are drawn [m]; the surface goes on beyond.
+            which are drawn [m]; the surface goes on beyond. Where it becomes upright a
+            motion ends before.
     """
 
+    is_regular: ClassVar[bool] = True
     is_bounded: ClassVar[bool] = False
     is_height: ClassVar[bool] = True
     f: UserFunction
