@@ -83,7 +83,8 @@ SURFACES = tables_of(
             {"profile": ("radius", "height"), "poles": (), "rising": ()},
         ),
         "parametric": (
-            "A surface by its position as a function of q1 and q2.",
+            "A surface by its position as a function of q1 and q2. Where these do not "
+            "count for two (poles of longitude and latitude) a run ends as at an edge.",
             f"{_HERE}.parametric.Parametric",
             _Parametric,
             # formulas are of a pair, not of a direction
