@@ -154,11 +154,11 @@ def _refuse_untold(groups: list[Group], times: list[Any], out: str | None) -> No
     """What the files of a sweep cannot tell."""
     import numpy as np
 
+    from ..files.export_events import variable_of
     from ..files.file_endings import TABLES, ending
-    from .sweep_result import column_of
 
     for group in groups:
-        names = [column_of(event.name) for event in group.files[0].events]
+        names = [variable_of(event.name) for event in group.files[0].events]
         if "final" in names:
             problem = "an event is called 'final', and final_time is the motion's end"
             raise click.UsageError(f"{problem}: give it another name")

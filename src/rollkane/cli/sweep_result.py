@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..files.export_events import variable_of
 from ..validation.codes import Code
 from .sweep_points import Varied
 
@@ -135,16 +136,11 @@ def _parts(name: str, shape: tuple[int, ...]) -> list[tuple[str, Any]]:
     return [(f"{name}_{axis}", (..., k)) for k, axis in enumerate(_AXES[shape[0]])]
 
 
-def column_of(event: str) -> str:
-    """What the columns of an event's name begin with: NetCDF has no names with /."""
-    return event.replace("/", "_")
-
-
 def _events_of(block: Any) -> dict[str, Any]:
     """How often each event happened, and when first [s]; NaN where it did not."""
     found: dict[str, Any] = {}
     for event, crossings in block.events.items():
-        name = column_of(event)
+        name = variable_of(event)
         found[f"{name}_count"] = np.asarray(crossings.count)
         found[f"{name}_time"] = np.asarray(crossings.times)[:, 0]
     return found

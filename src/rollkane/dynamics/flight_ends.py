@@ -80,5 +80,6 @@ def lies_level(
     if heading is None:
         return False
     _, _, to_base = flying_pose(scene, t, state)
+    # what a turn in flight leaves of a level one, as for a Ring that is placed
     rounding = 100.0 * np.finfo(to_base.dtype).eps
     return jnp.max(jnp.abs(heading(to_base[2]))) < rounding

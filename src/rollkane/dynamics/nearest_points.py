@@ -337,6 +337,7 @@ def _off_level(scene: Scene, out: Float[Array, "3"]) -> Float[Array, "3"]:
     heading = heading_on_plane(scene)
     if heading is None:
         return out
+    # of a length of one: where it stands is off by so much of the circle's radius
     rounding = np.finfo(out.dtype).eps
     is_level = jnp.max(jnp.abs(heading(out))) < rounding
     return jnp.where(is_level, out + 2.0 * rounding, out)

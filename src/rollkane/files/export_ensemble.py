@@ -12,7 +12,7 @@ from ..validation.checks import FieldError, is_traced
 from ..validation.codes import NO_FAULT, reason_of
 from .export import BASE_AXIS, COORDINATES, QUANTITIES, heading, imported, labels
 from .export import quantities as quantities_of
-from .export_events import Variable, event_variables
+from .export_events import Variable, event_variables, variable_of
 
 if TYPE_CHECKING:
     import xarray
@@ -70,7 +70,7 @@ def ensemble_to_xarray(ensemble: Ensemble) -> "xarray.Dataset":
     taken = {*variables, *_OWN_COORDINATES}
     variables |= event_variables(ensemble.events, _MEMBER, taken)
     for name, value in ensemble.observed_by_name.items():
-        name = name.replace("/", "_")  # which NetCDF keeps for its groups
+        name = variable_of(name)
         if name in variables or name in _OWN_COORDINATES:
             name = f"observed_{name}"
         if name in variables:

@@ -11,6 +11,11 @@ from ..validation.checks import FieldError
 Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
 
 
+def variable_of(name: str) -> str:
+    """A name as variables have it: without the slash, which NetCDF keeps for groups."""
+    return name.replace("/", "_")
+
+
 def event_variables(
     events: Mapping[str, Any], front: tuple[str, ...], taken: Collection[str]
 ) -> dict[str, Variable]:
@@ -27,7 +32,7 @@ def event_variables(
     """
     found: dict[str, Variable] = {}
     for event, crossings in events.items():
-        name = event.replace("/", "_")  # which NetCDF keeps for its groups
+        name = variable_of(event)
         times, count = np.asarray(crossings.times), np.asarray(crossings.count)
         when = {"long_name": f'times of "{event}"', "units": "s"}
         often = {"long_name": f'how often "{event}" happened', "units": "1"}

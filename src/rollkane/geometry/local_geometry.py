@@ -112,9 +112,10 @@ class LocalGeometry(eqx.Module):
     def upright(self) -> Float[Array, "3"]:
         """The normal, as long as the coordinates are regular, none at a pole [1].
 
-        Behind the pole of a chart ``d1 x d2`` is the normal on the other side. Where it
-        becomes upright, as x and y on a hemisphere, they come to stand still but for
-        steps that roundings fill: below a third of the digits that is a pole, too.
+        Behind the pole of a chart ``d1 x d2`` is the normal on the other side. Where a
+        surface over x and y becomes upright these come to stand still: of so small a
+        rate r a step shorter than eps / r is filled by rounding. Below a third of the
+        digits that is a pole, too; above it such steps are 4e-11 of a motion's time.
         """
         regular = self.regularity
         least = float(np.finfo(regular.dtype).eps) ** (1.0 / 3.0)
@@ -217,7 +218,8 @@ def from_height(
 
     l11 = jnp.sqrt(1.0 + z_1 * z_1)
     steep = jnp.sqrt(1.0 + z_1 * z_1 + z_2 * z_2)
-    # where it is upright x and y stand still but for steps that roundings fill
+    # where it is upright x and y stand still but for steps that roundings fill, of eps
+    # by the slope: here 2e-12 of a motion's time each
     upright = float(np.finfo(steep.dtype).eps) ** -0.25
     l11 = jnp.where(steep < upright, l11, jnp.nan)
     l12, l22 = z_1 * z_2 / l11, orientation * steep / l11
