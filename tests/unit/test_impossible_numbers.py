@@ -350,6 +350,21 @@ def test_a_bad_member_of_a_batch_of_placements_fails_alone(order):
     assert np.isnan(starts.orientation[1]).all()
 
 
+def compiled(caplog):
+    return [m for m in caplog.messages if m.startswith("Finished XLA compilation")]
+
+
+def test_a_release_is_few_programs(caplog):
+    """Not one for each check: eleven programs, half of its first time, were."""
+    scene = stone()
+    jax.clear_caches()
+    with jax.log_compiles(True), caplog.at_level(logging.WARNING):
+        rk.release(scene, LEVEL, (0.0, 1.0, 5.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    programs = compiled(caplog)
+    # what finds the nearest points, the spin's, and what JAX makes its numbers by
+    assert 1 <= len(programs) <= 4, programs
+
+
 def test_a_batch_of_placements_is_few_programs(caplog):
     """Not one for each operation: 1,000 coins took 5 to 18 s the first time."""
     coin = rk.Scene(rk.Body(0.1, np.diag([1e-5, 1e-5, 2e-5]), rk.DiscEdge(0.02)))
@@ -359,7 +374,7 @@ def test_a_batch_of_placements_is_few_programs(caplog):
     jax.clear_caches()
     with jax.log_compiles(True), caplog.at_level(logging.WARNING):
         jax.block_until_ready(jax.vmap(placed)(jnp.linspace(5.0, 50.0, 1000)))
-    programs = [m for m in caplog.messages if m.startswith("Finished XLA compilation")]
+    programs = compiled(caplog)
     # the placement, what checks and moves arguments of four shapes, linspace and stack;
     # one program for each operation was several hundreds
     assert 1 <= len(programs) <= 25, programs

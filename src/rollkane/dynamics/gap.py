@@ -3,7 +3,7 @@
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from ..codegen import prepare_calls
 from ..codegen.compile_effort import for_one_call
@@ -95,19 +95,20 @@ def release(
         for name, (value, size) in numbers.items()
     )
     t = real("release.time", time, (), "seconds", dtype)
-    gap, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
-    apart = (gap >= 0.0) & (gap < jnp.inf)
+    none_found, on_base, on_body = _places_below(scene, t, e, r, near_on_base)
     place = refuse(
         r,
-        ~apart,
+        none_found,
         "release.position",
         "is in the base, over the flat of a disc, or too far to find the nearest point",
         "let the body go above the base's surface, or give near_on_base",
     )
-    # a place that is refused has no nearest points, and is what a run then names
-    on_base, on_body = (jnp.where(apart, x, 0.0) for x in (on_base, on_body))
-    spin = matvec_transposed(rotation_matrix(e), w)
-    return FlyingState(e, spin, on_base, on_body, a, a_dot, place, v)
+    return FlyingState(e, _on_body_axes(e, w), on_base, on_body, a, a_dot, place, v)
+
+
+@for_one_call
+def _on_body_axes(e: Float[Array, "4"], w: Float[Array, "3"]) -> Float[Array, "3"]:
+    return matvec_transposed(rotation_matrix(e), w)
 
 
 @for_one_call  # known then, too, where only masses or speeds are traced
@@ -117,8 +118,8 @@ def _places_below(
     e: Float[Array, "4"],
     r: Float[Array, "3"],
     near: Vector | None,
-) -> tuple[Float[Array, ""], Array, Array]:
-    """Gap of a body at rest there [m], and the coordinates of the nearest points."""
+) -> tuple[Bool[Array, ""], Array, Array]:
+    """Whether a body at rest there has no gap, and the nearest points' coordinates."""
     base, body, motion = scene.base.surface, scene.body.surface, scene.base.motion
     moving = None if motion is None else motion.at(t)
     if near is None:
@@ -138,7 +139,10 @@ def _places_below(
         gap, state = nearest_anywhere(scene, t, state)
     else:  # it may be far
         gap, state = nearest(scene, t, state, steps=4 * NEWTON)
-    return gap, *places_of(state)
+    apart = (gap >= 0.0) & (gap < jnp.inf)
+    # a place that is refused has no nearest points, and is what a run then names
+    on_base, on_body = (jnp.where(apart, x, 0.0) for x in places_of(state))
+    return ~apart, on_base, on_body
 
 
 def in_flight(state: SlidingState, scene: Scene, t: Float[Array, ""]) -> FlyingState:

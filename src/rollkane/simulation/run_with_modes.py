@@ -83,8 +83,8 @@ def ready_with_modes(
     check_steps(max_steps)
     changing = HybridScene(scene, modes)
     stops = stops_of(times, 100.0 * float(np.finfo(times.dtype).eps))
-    times = held(times)
     watched = events_in_modes(events, stop, changing, times[0], start)
+    times = held(times)
     plan = _Plan(
         default_solver(rtol) if solver is None else solver,
         max_steps,

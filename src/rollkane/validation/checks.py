@@ -246,7 +246,7 @@ def refuse(
     if callable(bad):
         where = bad(array if is_traced(array) else np.asarray(array))
     if not is_traced(array, where):
-        if bool(np.any(where)):
+        if bool(np.any(np.asarray(where))):  # a program of JAX's, of a JAX array
             raise FieldError(field, array, problem, remedy)
         return array
     return spoilt(array, jnp.any(where))
