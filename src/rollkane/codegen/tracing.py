@@ -39,10 +39,11 @@ def shared_in_c(function: _F) -> _F:
 
 
 class _Target(threading.local):
-    """Of each thread, whether what it traces becomes C."""
+    """Of each thread, whether what it traces becomes C, or runs once."""
 
     def __init__(self):
         self.is_c = False
+        self.is_once = False
 
 
 _target = _Target()
@@ -61,6 +62,24 @@ def becoming_c() -> Generator[None, None, None]:
 def becomes_c() -> bool:
     """Whether what is traced does."""
     return _target.is_c
+
+
+@contextmanager
+def running_once() -> Generator[None, None, None]:
+    """What is traced within runs once for a motion, not at every step.
+
+    It had better compile soon than run soon.
+    """
+    before, _target.is_once = _target.is_once, True
+    try:
+        yield
+    finally:
+        _target.is_once = before
+
+
+def runs_once() -> bool:
+    """Whether what is traced runs once, and not in C."""
+    return _target.is_once and not _target.is_c
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from numpy.typing import DTypeLike
 
 from ..codegen.compile_effort import Known, around_a_loop
+from ..codegen.tracing import running_once
 from ..kinematics.coordinates import pack, unpack
 from ..validation.checks import (
     FieldError,
@@ -117,7 +118,8 @@ def _integrated(
     asked = (rtol, atol) if dt0 is None else (rtol, atol, dt0)
     fault, code_of_fault = first_fault(model, start, in_order(times), asked)
     fixed_stops, fixed_events = jax.lax.stop_gradient((stops.time, events))
-    start = plan.problem.consistent(model, times[0], start)
+    with running_once():
+        start = plan.problem.consistent(model, times[0], start)
     y0 = pack(start)
     good = (fault == NO_FAULT) & jnp.all(jnp.isfinite(y0))
     # NaN would keep the step controller going for ever; zero stops it at the start

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..validation.checks import is_traced
 from ..validation.user_functions import GivenFunction
 from .linear_solves import inverse_of
@@ -96,6 +97,7 @@ def bound_start(
 
 
 @for_one_call
+@running_once()
 def _bound(
     system: KaneSystem,
     configuration: GivenFunction,

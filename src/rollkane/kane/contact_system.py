@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..geometry.surfaces import AbstractPointSurface, AbstractSurface
 from ..kinematics.contact_place import check_surface
 from ..validation.checks import FieldError, flag, is_traced, real
@@ -353,10 +354,9 @@ def _along(
 
 
 @for_one_call
-def _mapped(
-    function: Any, rolling: RollingSystem, time: Array, state: KaneState
-) -> Any:
-    mapped = function
+@running_once()
+def _mapped(of: Any, rolling: RollingSystem, time: Array, state: KaneState) -> Any:
+    mapped = of
     for _ in range(state.q.ndim - 1):
         mapped = jax.vmap(mapped, in_axes=(None, 0, 0))
     return mapped(rolling, time, state)

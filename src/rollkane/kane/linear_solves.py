@@ -8,19 +8,26 @@ import lineax as lx  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..codegen.tracing import runs_once
 from ..geometry.small_linear import components, cross, matmul, solve_spd
 
 # of the scale of a matrix: a thousand roundings of double precision
 SINGULAR = 1e-12
 # of 1 - C X: of a matrix that can be inverted, roundings; else of order one
 _INVERTED = 1e-3
-_UNROLLED = 12  # larger systems are solved by lineax
+_UNROLLED = 12  # larger systems are solved by libraries
+# and where it is done once: XLA takes seconds to compile twelve unknowns
+_UNROLLED_ONCE = 3
+
+
+def _is_small(size: int) -> bool:
+    return size <= (_UNROLLED_ONCE if runs_once() else _UNROLLED)
 
 
 def solved(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"]:
     """A symmetric positive definite system, unrolled where it is small."""
     size = rhs.shape[0]
-    if size <= _UNROLLED:
+    if _is_small(size):
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     operator = lx.MatrixLinearOperator(M, lx.positive_semidefinite_tag)
@@ -31,7 +38,7 @@ def solved(M: Float[Array, "m m"], rhs: Float[Array, " m"]) -> Float[Array, " m"
 def determinant(C: Float[Array, "k k"]) -> Float[Array, ""]:
     """By elimination, the largest of each column first; unrolled where it is small."""
     size = C.shape[0]
-    if size > _UNROLLED:
+    if not _is_small(size):
         return cast(Array, jnp.linalg.det(C))
     rows = [components(row) for row in C]
     found = jnp.ones((), C.dtype)
@@ -60,7 +67,7 @@ def inverse_of(C: Float[Array, "k k"]) -> Float[Array, "k k"]:
         cofactors = jnp.stack([cross(a[1], a[2]), cross(a[2], a[0]), cross(a[0], a[1])])
         det = jnp.sum(a[0] * cofactors[0])
         inverse = cofactors.T[:size, :size] / det
-    elif size <= _UNROLLED:
+    elif _is_small(size):
         return _by_squares(C)
     else:
         # needs row exchanges: 1.1 us for four, 1.4 us for six by LAPACK, one call
@@ -114,7 +121,7 @@ def next_to(C: Float[Array, "c m"]) -> Float[Array, "m c"]:
 def _solved_many(M: Float[Array, "m m"], rhs: Float[Array, "m k"]) -> Array:
     """``M^-1 rhs``, unrolled where it is small."""
     size = M.shape[0]
-    if size <= _UNROLLED:
+    if _is_small(size):
         rows = [components(M[i, : i + 1]) for i in range(size)]
         return jnp.stack(solve_spd(rows, components(rhs)))
     factor = jax.scipy.linalg.cho_factor(M)

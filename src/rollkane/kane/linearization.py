@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..integration.integrate import tolerances
 from ..validation.checks import FieldError, is_traced
 from ..validation.user_functions import GivenFunction, as_time
@@ -144,6 +145,7 @@ def _refuse_others(system: KaneSystem, inputs: Callable[[Any], Any]) -> None:
 
 
 @for_one_call
+@running_once()
 def _linearized(
     system: KaneSystem,
     t: Array,

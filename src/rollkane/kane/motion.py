@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..integration.backends import check_method, run_by, without_native
 from ..integration.diffrax_checks import check_kinds, check_kinks
 from ..integration.integrate import checked_times, tolerances, warn_single_precision
@@ -248,6 +249,7 @@ def _refused(
 
 
 @for_one_call
+@running_once()
 def _lost(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, " k"]:
     """How far each row that followed from others is from zero, of what may be [1]."""
     kept, u = kept_state(system, t, state), all_speeds(system, t, state)
@@ -256,6 +258,7 @@ def _lost(system: KaneSystem, t: Array, state: KaneState) -> Float[Array, " k"]:
 
 
 @for_one_call
+@running_once()
 def _explained(
     system: KaneSystem, t: Array, final: KaneState, code: Array, fault: Array
 ) -> Array:
@@ -266,6 +269,7 @@ def _explained(
 
 # one program of them: what is in loops would be compiled anew at every call
 @for_one_call
+@running_once()
 def _on_constraints(
     system: KaneSystem,
     time: Array,
@@ -325,6 +329,7 @@ _PROBLEM = Problem(kane_derivative, _quickness, _sizes, _corners, allowed_state)
 
 
 @for_one_call
+@running_once()
 def _each(observable: Any, system: KaneSystem, time: Array, state: KaneState) -> Any:
     mapped = jax.vmap(observable, in_axes=(None, 0, 0))
     for _ in range(state.q.ndim - 2):

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..integration.integrate import tolerances
 from ..validation.checks import FieldError, is_traced
 from .affinity import Samples, refuse_curved, sampled
@@ -73,6 +74,7 @@ def refuse_start(
 
 
 @for_one_call
+@running_once()
 def _examined(system: KaneSystem, t: Array, state: KaneState) -> Examined:
     return examined(system, t, state, reduced(system, t, state))
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..validation.checks import FieldError, is_traced
 from .equations import speeds_of
 from .partial_velocities import partials_of
@@ -71,6 +72,7 @@ def _moving(start: KaneState) -> KaneState:
 
 
 @for_one_call
+@running_once()
 def _velocities(
     system: KaneSystem, sides: Float[Array, "2 k"], state: KaneState
 ) -> tuple[Array, list[Array]]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..codegen.compile_effort import for_one_call
+from ..codegen.tracing import running_once
 from ..kane.equations import kane_derivative
 from ..kane.system import KaneState, KaneSystem
 from ..kinematics.coordinates import pack
@@ -150,6 +151,7 @@ def _changes(system: KaneSystem, states: KaneState) -> bool:
 
 
 @for_one_call
+@running_once()
 def _over_time(system: KaneSystem, times: Array, states: KaneState) -> Array:
     def at(t: Array, state: KaneState) -> Array:
         y = KaneState(configured(system, state.q), state.u)
