@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .compiler import lanes_of
+from .compiler_shares import apart
 from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
@@ -24,6 +25,7 @@ from .scalar_program import NotElementwiseError
 from .tableau import Weights
 
 _BUFFERS = {"MOST_GIVEN": 10, "MOST_RESULTS": 2}  # arguments and results of a loop
+_STEPS = ("along_steps.h",)  # before what is written for it
 
 
 class Way(NamedTuple):
@@ -85,22 +87,22 @@ class TangentLoop:
             "ROWS": made.functions.rows,
             "NUMBERS": made.functions.numbers,
         }
-        texts = made.functions.text, push_source(rates.weights)
-        loop = "along_steps.h", *of_bearable_length(texts), "tangent_loop.c"
+        texts = of_bearable_length((made.functions.text, push_source(rates.weights)))
+        there, others = apart(texts)
 
         def kernel() -> Kernel:
             return Kernel(
                 dtype=np.dtype(state.dtype),
                 head=(*head.items(), *_BUFFERS.items(), ("SPREAD", lanes)),
-                parts=(*loop, "device_tangents.c"),
+                parts=(*_STEPS, *texts, "tangent_loop.c", "device_tangents.c"),
                 axes=(1, 3, 1, 3, 1, 0, 0, 1, 2),
                 results=2,
                 result_axes=4,
                 spread=(3, state.shape[0]),
             )
 
-        parts = "threads.h", *loop, "tangent_call.c"
-        self._call = XlaCall(state.dtype, lanes, head, parts, kernel=kernel)
+        parts = "threads.h", *_STEPS, *there, "tangent_loop.c", "tangent_call.c"
+        self._call = XlaCall(state.dtype, lanes, head, parts, others, kernel=kernel)
 
     def __call__(
         self, way: Way, y: Array, y_dot: Array, tangents: list[Array]
@@ -177,8 +179,9 @@ class CotangentLoop:
             "OWN": sum(x.size for x, differs in pairs if differs),
             **_BUFFERS,
         }
-        texts = made.functions.text, made.back.text, pull_source(rates.weights)
-        steps = "along_steps.h", *of_bearable_length(texts)
+        both = made.functions.text, made.back.text
+        texts = of_bearable_length((*both, pull_source(rates.weights)))
+        there, others = apart(texts)
         alone = "cotangent_loop.c", "cotangent_call.c"
         loop = alone if lanes == 1 else ("cotangent_lanes.c",)
         by_own = lanes != 1
@@ -188,18 +191,18 @@ class CotangentLoop:
             return Kernel(
                 dtype=np.dtype(state.dtype),
                 head=(*head.items(), ("BY_OWN", int(by_own))),
-                parts=(*steps, "cotangent_loop.c", "device_cotangents.c"),
+                parts=(*_STEPS, *texts, "cotangent_loop.c", "device_cotangents.c"),
                 axes=(1, 1, *axes) if by_own else (1, *axes),
                 results=2,
                 result_axes=1,
                 spread=(4 if by_own else 3, state.shape[0]),
             )
 
-        parts = "threads.h", *steps, *loop
+        parts = "threads.h", *_STEPS, *there, *loop
         # at -O3 that of one motion takes twice as long to compile (the isolator's 2 s),
         # and gradients 5 to 14 % less; batches, which run longer, take up to 15 % less
         effort = "-O2" if lanes == 1 else ""
-        return XlaCall(state.dtype, lanes, head, parts, effort=effort, kernel=kernel)
+        return XlaCall(state.dtype, lanes, head, parts, others, effort, kernel)
 
     def __call__(
         self, way: Way, kept: Array, cotangents: Array, last_cotangent: Array

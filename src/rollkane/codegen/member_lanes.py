@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array
 
 from .compiler import lanes_of
+from .compiler_shares import apart
 from .ffi_call import XlaCall
 from .jaxpr_types import Shaped
 from .memory_walk import SMALL
@@ -202,13 +203,14 @@ class MemberLanes:
             texts += _of_mode(number, mode, at, (stages, ends), steps)
         names = ", ".join(f"run_{i}" for i in range(len(modes)))
         texts.append(f"static void (*const run_mode[])(Block *) = {{{names}}};")
-        parts = *program.parts, "threads.h", *of_bearable_length(tuple(texts))
-        parts = *parts, "member_lanes_call.c"
+        there, others = apart(of_bearable_length(tuple(texts)))
+        parts = *program.parts, "threads.h", *there, "member_lanes_call.c"
         sizes = [math.prod(shape) for shape in program.taken]
         head["GIVEN_SMALL"] = sum(x for x in sizes if x <= SMALL)
         lanes = lanes_of(program.dtype)
         # with the care of a loop that runs long, whatever its program is worth
-        self._call = XlaCall(program.dtype, lanes, head, parts, program.further)
+        others = *others, *program.further
+        self._call = XlaCall(program.dtype, lanes, head, parts, others)
 
     def __call__(
         self, size: int, arrays: Sequence[Array], leaves: Sequence[Array]

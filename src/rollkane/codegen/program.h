@@ -1,11 +1,6 @@
 /* What a whole program is written with. Before this text: rows.h, MOST_GIVEN and
  * MOST_RESULTS.
  */
-#ifdef _WIN32 /* known to all texts of a program, and to nobody else */
-#define OF_THE_PROGRAM __attribute__((noinline))
-#else
-#define OF_THE_PROGRAM __attribute__((noinline, visibility("hidden")))
-#endif
 
 typedef struct {
     const real *given[MOST_GIVEN];

@@ -12,6 +12,11 @@ enum { LANES = BYTES / sizeof(real) };
 #define LOCAL static _Thread_local /* arrays that are too large for a thread's stack */
 #endif
 #define INLINE static inline __attribute__((always_inline, unused))
+#ifdef _WIN32 /* known to all texts of a program, and to nobody else */
+#define OF_THE_PROGRAM __attribute__((noinline))
+#else
+#define OF_THE_PROGRAM __attribute__((noinline, visibility("hidden")))
+#endif
 
 #if REAL_IS_DOUBLE
 typedef int64_t whole; /* of as many bits */

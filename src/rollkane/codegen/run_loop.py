@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .compiler import lanes_of
+from .compiler_shares import apart
 from .device_program import Kernel
 from .ffi_call import XlaCall, in_one
 from .jaxpr_types import Shaped
@@ -171,14 +172,15 @@ class RunLoop:
             "MOST_RESULTS": 7,
             **made.head,
         }
-        known = made.text, attempt_source(weights)
-        loop = *of_bearable_length(known), *made.loop, "queue.h"
-        before, further = (), ()
+        known = of_bearable_length((made.text, attempt_source(weights)))
+        around = *made.loop, "queue.h"
+        before: tuple[str, ...] = ()
+        there, further = apart(known)
         if self._ends is not None:
             asked = StepEnds(self._ends, state, like, own, zeros)
             most = max(_GIVEN, asked.program.head["MOST_GIVEN"])
             head |= asked.head | {"MOST_GIVEN": most}
-            before, further = asked.parts, asked.program.further
+            before, further = asked.parts, (*further, *asked.program.further)
         alone = lanes == 1
 
         def kernel() -> Kernel:
@@ -187,7 +189,7 @@ class RunLoop:
             return Kernel(
                 dtype=np.dtype(state.dtype),
                 head=(*(head | there).items(), ("ALONE", int(alone))),
-                parts=(*loop, "device_runs.c"),
+                parts=(*known, *around, "device_runs.c"),
                 axes=(1,) * _GIVEN if alone else (1, 2, 2, 2, *(1,) * (_GIVEN - 4)),
                 results=results,
                 result_axes=2 if alone else 3,
@@ -197,7 +199,7 @@ class RunLoop:
                 shortest=None if alone else _FIRST_STEPS,
             )
 
-        parts = *before, "threads.h", *loop, caller
+        parts = *before, "threads.h", *there, *around, caller
         return XlaCall(state.dtype, lanes, head, parts, further, kernel=kernel)
 
     def __call__(self, y: Array, course: Course, most: int) -> Ended:

@@ -13,6 +13,8 @@ from typing import NamedTuple
 # so few fit into the caches whatever their order
 _SHORT = 1000
 _PIECE = 500  # statements of a function, for which compilers take 0.1 s
+# how a piece of a function begins
+PIECE = "static __attribute__((noinline)) "
 _NAMES = re.compile(r"[A-Za-z_]\w*")
 
 
@@ -153,7 +155,7 @@ def _in_pieces(
         taken = [(x, *kept[x]) for x in sorted(used[k] - own) if x in kept]
         left = [f"{kept[x.name][1]} = {x.name};" for x in piece if x.name in kept]
         lines += [
-            f"static __attribute__((noinline)) void {signature.head(f'_{k}', *arrays)}",
+            f"{PIECE}void {signature.head(f'_{k}', *arrays)}",
             *(line for name, line in given.items() if name in used[k]),
             *(f"const {kind} {name} = {place};" for name, kind, place in taken),
             *(x.line for x in piece),

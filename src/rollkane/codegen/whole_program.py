@@ -1,7 +1,6 @@
 """A whole program of arrays, with its loops and branches, compiled as one in C."""
 
 import itertools
-import os
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, cast
 
@@ -14,6 +13,7 @@ from jaxtyping import Array
 from ..validation.checks import is_traced
 from .array_memory import Memory, packed
 from .compiler import NoCompilerError
+from .compiler_shares import in_groups
 from .control_flow import Structured
 from .data_movement import as_objects, refuse_keys
 from .ffi_call import XlaCall, in_one
@@ -27,14 +27,10 @@ from .statement_writer import Writer, part
 from .tracing import becoming_c, not_collecting
 from .whole_numbers import type_of
 
-# Lines that are worth a compiler of their own, and beyond which it takes less care: at
-# -O1 14,000 lines take 1.1 s on two cores, at -O2 1.5 to 2.3; a plate's 10,000, or a
-# gradient's, run a tenth to a quarter longer.
-_WORTH_A_COMPILER, _LONG = 2_000, 12_000
-# By which a function's time in a compiler goes with its lines, and a loop beside it: by
-# 1.7e-5 s of GCC 12 (40 functions of 60 to 4,900 lines, most within a third), a loop by
-# 1.7 ms at -O1 and 2 to 3 at -O2
-_STEEPNESS, _LOOP = 1.2, 100
+# Lines beyond which a compiler takes less care: at -O1 14,000 lines take 1.1 s on two
+# cores, at -O2 1.5 to 2.3; a plate's 10,000, or a gradient's, run a tenth to a quarter
+# longer.
+_LONG = 12_000
 
 
 def in_one_program(
@@ -272,25 +268,5 @@ def _texts(writer: Writer, given: int, left: int) -> list[str]:
     ]
     body = "\n".join(writer.block.lines)
     run = f"static void run(const Frame *frame) {{\n{body}\n}}"
-    groups = _in_groups(without_lost_writes([*writer.functions, run]))
+    groups = in_groups(without_lost_writes([*writer.functions, run]))
     return ["\n".join(x) for x in (head, *groups)]
-
-
-def _in_groups(functions: list[str]) -> list[list[str]]:
-    """Functions shared out between compilers, the last one in the last group."""
-    sizes = [text.count("\n") for text in functions]
-    count = min(os.cpu_count() or 1, 8, sum(sizes) // _WORTH_A_COMPILER + 1)
-    costs = [
-        size**_STEEPNESS + _LOOP * text.count("for (")
-        for size, text in zip(sizes, functions, strict=True)
-    ]
-    groups: list[list[str]] = [[] for _ in range(count)]
-    loads = [0.0] * count
-    groups[-1].append(functions[-1])
-    loads[-1] = costs[-1]
-    # the dearest first, each to who has least
-    for i in sorted(range(len(functions) - 1), key=lambda i: -costs[i]):
-        least = loads.index(min(loads))
-        groups[least].append(functions[i])
-        loads[least] += costs[i]
-    return groups
