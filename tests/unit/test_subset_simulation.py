@@ -8,9 +8,14 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 import rollkane as rk
-from rollkane.uncertainty.conditional_chains import conditional_chains, family_share
+from rollkane.uncertainty.conditional_chains import (
+    conditional_chains,
+    family_share,
+    family_variance,
+)
 from rollkane.uncertainty.distributions import Normal, Uniform, UniformOrientation
 from rollkane.uncertainty.evaluation import FunctionModel
+from rollkane.uncertainty.intervals import probability_interval
 from rollkane.uncertainty.proposal_mixture import fitted_mixture
 
 from ..model_failures import Failing
@@ -161,10 +166,54 @@ def test_a_frequent_event_is_counted():
     share = float(ndtr(-0.5))
     error = np.sqrt(share * (1.0 - share) / 2000)
     assert abs(found.probability - share) < 4.0 * error
-    # that of independent motions, from the share that was counted: 1 / sqrt(S) less
-    # sqrt((1 - p) / S) at most
     assert found.motions == level.motions == 2000
-    assert error < found.standard_error < 1.3 * error
+    # that of independent motions, from the share that was counted
+    counted = np.sqrt(found.probability * (1.0 - found.probability) / 2000)
+    assert found.standard_error == pytest.approx(counted, rel=1e-12)
+    assert level.relative_error == pytest.approx(counted / found.probability, rel=1e-12)
+    hits = round(2000 * found.probability)
+    assert found.interval == probability_interval(hits, 2000, 0.95)
+
+
+def test_what_always_happens():
+    """No motion of 4 x 1000 missed it: no error, and an interval as of so many."""
+    found = rk.subset_simulation(linear(1), "value", -20.0, seed=1)
+    assert found.probability == 1.0
+    assert found.standard_error == 0.0
+    low, high = found.interval
+    # 3.84 / n is Wilson's end of none of n; one miss in a thousand is ruled out
+    assert 1.0 - 3.85 / 4000 < low < 1.0
+    assert high == 1.0
+
+
+@pytest.mark.parametrize(
+    ("threshold", "most"), [(-2.5, 250), (-1.5, 250), (0.0, 250), (1.6, 100)]
+)
+def test_errors_of_frequent_events(threshold, most):
+    """Scatter of many seeds is what each says, and intervals cover."""
+    share, model = float(ndtr(-threshold)), linear(1)
+    few = {"size_per_level": 200, "runs": 2, "precision": 1.0}
+    runs = [
+        rk.subset_simulation(model, "value", threshold, **few, seed=s)
+        for s in range(most)
+    ]
+    errors = np.array([run.probability - share for run in runs])
+    said = np.sqrt(np.mean([run.standard_error**2 for run in runs]))
+    # a deviation of n values is known to 1 / sqrt(2 n); four of them
+    assert abs(errors.std() / said - 1.0) < 4.0 / np.sqrt(2.0 * most)
+    covered = sum(x.interval[0] <= share <= x.interval[1] for x in runs)
+    # of 95 %: less four deviations of a count; intervals of few misses cover more
+    assert covered >= 0.95 * most - 4.0 * np.sqrt(0.95 * 0.05 * most)
+
+
+def test_a_probability_is_no_more_than_one():
+    """Asked for 1e-4, weights of an event that hardly misses have a mean above 1."""
+    model = linear(1)
+    for seed in range(6):
+        found = rk.subset_simulation(
+            model, "value", -3.5, 500, precision=1e-4, motions=8000, seed=seed
+        )
+        assert found.importance is None or found.importance.probability <= 1.0
 
 
 def test_subset_simulation_alone():
@@ -326,6 +375,18 @@ def test_families_share_out():
     reached = np.ones((1, 50), bool)
     assert family_share(reached, np.arange(50)) == pytest.approx(1.0 / 50, rel=1e-12)
     assert family_share(reached, np.zeros(50, int)) == 1.0
+    # of a level alone, 30 of 50: that of a share, exactly
+    reached[0, 30:] = False
+    alone = (1.0 - 0.6) / (0.6 * 50)
+    assert family_variance(reached, np.arange(50)) == pytest.approx(alone, rel=1e-12)
+    # chains of 10 independent states each: the sum of both levels', on average
+    rng = np.random.default_rng(1)
+    found = [
+        family_variance(rng.random((10, 100)) < 0.2, np.arange(100)) for _ in range(400)
+    ]
+    both = (1.0 - 0.1) / (0.1 * 1000) + (1.0 - 0.2) / (0.2 * 1000)
+    # one is some 9 % off, and 400 are averaged: 1 / n left in were 8 % of it
+    assert np.mean(found) == pytest.approx(both, rel=0.03)
 
 
 def test_the_mixture_is_a_density():

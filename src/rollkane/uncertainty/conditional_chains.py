@@ -83,16 +83,30 @@ def conditional_chains(
 def family_share(reached: np.ndarray, families: np.ndarray) -> float:
     """Sum of squares of the families' shares in states that reach a level [1].
 
-    One over it is how many independent states they are worth, where families are the
-    chains; where they are those of the first, independent states that chains descend
-    from, it is the relative variance of the probability of all levels.
+    One over it is how many independent states they are worth.
 
     Args:
         reached: Whether each state does, shape (s, m).
         families: Number of each chain's family, shape (m,).
-
-    Source: Lee and Whiteley, Biometrika 105 (2018), for particle filters, of which
-    subset simulation is one; here without their terms of order one over all states.
     """
     sums = np.bincount(families, weights=reached.sum(axis=0))
     return float((sums**2).sum() / max(sums.sum(), 1.0) ** 2)
+
+
+def family_variance(reached: np.ndarray, families: np.ndarray) -> float:
+    """Relative variance of the probability of all levels up to this one [1].
+
+    Families descend from one of n first, independent states each. Of one level it is
+    ``(1 - p) / (p n)``; their shares alone tell ``1 / (p n)``. Each level takes every
+    state of the one before it once, so that what is too much stays ``1 / n``. States
+    of a chain, and so of a family, may be alike: families are independent.
+
+    Args:
+        reached: Whether each state does, shape (s, m); s m is how many were the first.
+        families: Number of each chain's family, shape (m,).
+
+    Source: Lee and Whiteley, Biometrika 105 (2018), for particle filters, of which
+    subset simulation is one; of one level it is that of Au and Beck, Prob. Eng. Mech.
+    16 (2001).
+    """
+    return max(family_share(reached, families) - 1.0 / reached.size, 0.0)

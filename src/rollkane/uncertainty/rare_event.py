@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri  # pyright: ignore[reportMissingTypeStubs]
 
+from .intervals import probability_interval
+
 
 class Estimate(NamedTuple):
     """A probability and its error.
@@ -17,10 +19,12 @@ class Estimate(NamedTuple):
     Attributes:
         probability: [1].
         standard_error: [1].
+        counted: Of how many independent motions it is the share [1]; 0: of none.
     """
 
     probability: float
     standard_error: float
+    counted: int = 0
 
     @property
     def relative(self) -> float:
@@ -36,13 +40,17 @@ class Estimate(NamedTuple):
         return f"{self.probability:.4g} +- {100.0 * self.relative:.1f} %"
 
     def interval(self, level: float) -> tuple[float, float]:
-        """Ends of an interval by a log-normal distribution [1].
+        """Ends of an interval [1]: of a share, or by a log-normal distribution.
 
         Args:
             level: Probability that it covers [1].
         """
         if not self.probability:
             return 0.0, 1.0
+        if self.counted:
+            hits = round(self.probability * self.counted)
+            ends = probability_interval(hits, self.counted, level)
+            return float(ends[0]), float(ends[1])
         wide = float(ndtri(0.5 + 0.5 * level)) * self.relative
         low, high = math.exp(-min(wide, 700.0)), math.exp(min(wide, 700.0))
         return self.probability * low, min(self.probability * high, 1.0)

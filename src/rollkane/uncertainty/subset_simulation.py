@@ -6,7 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..validation.checks import FieldError, flag, real, whole
-from .conditional_chains import Chains, conditional_chains, family_share
+from .conditional_chains import (
+    Chains,
+    conditional_chains,
+    family_share,
+    family_variance,
+)
 from .evaluation import Model
 from .inputs import share
 from .limit_margin import LimitMargin
@@ -161,7 +166,8 @@ class _Search:
         found = [run.estimate for run in self.runs]
         probability = sum(one.probability for one in found) / len(found)
         error = math.sqrt(sum(one.standard_error**2 for one in found)) / len(found)
-        return Estimate(probability, error)
+        counted = sum(one.counted for one in found) * all(x.counted for x in found)
+        return Estimate(probability, error, counted)
 
     @property
     def left(self) -> int:
@@ -223,7 +229,8 @@ class _Search:
         while self.left >= self.size and not enough:
             every = np.concatenate([every, self._weighted(mixture)[1]])
             error = float(every.std(ddof=1)) / math.sqrt(len(every))
-            self.importance = Estimate(float(every.mean()), error)
+            # weights of events that hardly ever miss may have a mean above 1
+            self.importance = Estimate(min(float(every.mean()), 1.0), error)
             enough = self.importance.relative <= precision
             if self.left < half and not self._agree():
                 break
@@ -310,11 +317,12 @@ def _levels(
         here = chains.margin >= goal
         part = float(here.mean())
         probability *= part
-        error = math.sqrt(family_share(here, roots)) if part else math.inf
+        error = math.sqrt(family_variance(here, roots)) if part else math.inf
         known = margin.threshold_of(goal)
         levels.append(Level(known, part, error, chains.accepted, run, failures))
         if goal >= 0.0:
-            found = Estimate(probability, probability * error)
+            counted = size if len(levels) == 1 else 0
+            found = Estimate(probability, probability * error, counted)
             worth = 1.0 / family_share(here, roots)
             return _Reached(found, levels, chains.z[here], worth, failed, "")
         run = size - count
