@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 import rollkane as rk
+from rollkane.uncertainty.statistics_summary import summary
 
 LEVEL = 0.95
 
@@ -60,6 +61,53 @@ def test_coverage_of_means_of_counts(mean):
         held += low <= mean <= high
     # 93 %, as of probabilities, less 3.1 deviations: one of 1000 such tests fails
     assert held >= stats.binom(often, 0.93).ppf(1e-3)
+
+
+@pytest.mark.parametrize(
+    ("rare", "large", "single", "members"),
+    [(0.02, 9, 0.2, 150), (0.02, 20, 0.3, 250)],
+)
+def test_coverage_where_few_large_numbers_make_the_mean(rare, large, single, members):
+    """Many members have 1, few a large number: 89 and 90 % were held."""
+    random, often = np.random.default_rng(1), 1000
+    mean, held = rare * large + single, 0
+    for _ in range(often):
+        drawn = random.random(members)
+        values = np.where(drawn < rare, large, drawn < rare + single)
+        low, high = _interval(values)
+        held += low <= mean <= high
+    # as above
+    assert held >= stats.binom(often, 0.93).ppf(1e-3)
+
+
+def test_few_larger_and_smaller_ones_are_not_all_to_one_side():
+    """Of 1000 members 5 have one more, and 5 one less: errors of both, as squares."""
+    values = np.repeat([2, 3, 4], [5, 990, 5])
+    (low, high), share = _interval(values), _interval(np.arange(1000) < 5)
+    np.testing.assert_allclose(3.0 - low, high - 3.0, rtol=1e-9)
+    apart = np.hypot(share[1] - 0.005, 0.005 - share[0])
+    np.testing.assert_allclose(high - 3.0, apart, rtol=1e-9)
+
+
+def test_what_an_interval_supposes_is_told():
+    """That no member is farther away than those that were seen."""
+
+    def found(values):
+        made = rk.Statistics()
+        made.add({"count": np.asarray(values)}, np.ones(len(values), bool))
+        return made
+
+    none = found(np.zeros(200, int))
+    assert "all 200 members have 0" in none.note("count")
+    few = found(5 * (np.arange(200) < 3))
+    assert "3 of 200 members have another number than 0, by up to 5" in str(few)
+    assert few.reason("count") == ""
+    assert summary(few)["numbers"]["count"]["note"] == few.note("count")
+    many = found(np.random.default_rng(0).poisson(3.0, 500))
+    assert many.note("count") == ""
+    # a constant that is not said to be whole is no count
+    assert found(np.full(200, 5.0)).note("count") == ""
+    assert found(np.arange(200.0) < 3).note("count") == ""
 
 
 def test_a_study_of_no_event_is_not_precise_at_once():

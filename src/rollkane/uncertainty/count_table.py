@@ -49,28 +49,78 @@ class CountTable:
     ) -> tuple[float, float]:
         """Student's interval of the mean, right where few members tell of it.
 
-        Where 20 members or fewer have another number than most, it is drawn out to what
-        so few tell of the probabilities of a larger and of a smaller one: where none
-        differs, of one by 1. A mean is no less than the probability of one or more,
-        whose interval does not reach below zero.
+        Where members that have another number than most are worth 20 or fewer that are
+        equally far away, it is drawn out to what so few tell of the probabilities of a
+        larger and of a smaller one: where none differs, of one by 1. A mean is no less
+        than the probability of one or more, whose interval does not reach below zero.
 
         Args:
             low: Student's lower end [1]; NaN: there is none.
             high: His upper end [1].
             level: Of confidence [1].
+
+        Source: of a difference, Zou and Donner, Statistics in Medicine 27 (2008).
         """
         if self.counts is None or math.isnan(low):
             return low, high
         total, most = int(self.counts.sum()), int(np.argmax(self.counts))
-        away = np.arange(self.counts.size) - most
-        sides = [np.where(side, self.counts, 0) for side in (away > 0, away < 0)]
-        if few_hits(sum(side.sum() for side in sides)) and self.counts.size <= MOST:
-            up, down = (_part(side, abs(away), total, level) for side in sides)
+        if self._rests_on_few:
+            (up, above), (down, below) = (
+                (_part(side, away, total, level), _middle(side, away, total))
+                for side, away in self._sides
+            )
             down *= most > 0  # nothing is less than none
-            low = min(low, most + up[0] - down[1])
-            high = max(high, most + up[1] - down[0])
+            middle = most + above - below
+            low = min(low, middle - math.hypot(above - up[0], down[1] - below))
+            high = max(high, middle + math.hypot(up[1] - above, below - down[0]))
         some = probability_interval(self.at_least(1), total, level)[0]
         return max(low, float(some)), high
+
+    @property
+    def note(self) -> str:
+        """What its interval supposes, as a sentence; "" where members tell enough."""
+        if self.counts is None or not self._rests_on_few:
+            return ""
+        total, most = int(self.counts.sum()), int(np.argmax(self.counts))
+        differ = total - int(self.counts[most])
+        far = max(
+            int(np.max(away[members > 0], initial=0)) for members, away in self._sides
+        )
+        seen = (
+            f"{differ:,} of {total:,} members have another number than {most}, by up "
+            f"to {far}: its interval supposes that none is farther away"
+            if differ
+            else f"all {total:,} members have {most}: its interval supposes that "
+            "others are off by 1"
+        )
+        return f"{seen}, and holds less often where rare ones are"
+
+    @property
+    def _sides(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Members with a larger, and with a smaller number than most; how far away."""
+        assert self.counts is not None
+        away = np.arange(self.counts.size) - int(np.argmax(self.counts))
+        sides = away > 0, away < 0
+        return [(np.where(side, self.counts, 0), abs(away)) for side in sides]
+
+    @property
+    def _rests_on_few(self) -> bool:
+        if self.counts is None or self.counts.size > MOST:
+            return False
+        return bool(few_hits(sum(_worth(*side)[0] for side in self._sides)))
+
+
+def _worth(members: np.ndarray, away: np.ndarray) -> tuple[float, float]:
+    """Of how many equal members the sum varies as much, and how far away they are.
+
+    Source: Fay and Feuer, Statistics in Medicine 16 (1997), section 2.
+    """
+    far, square = float(members @ away), float(members @ away**2)
+    return (far**2 / square, square / far) if far else (0.0, 1.0)
+
+
+def _middle(members: np.ndarray, away: np.ndarray, total: int) -> float:
+    return float(members @ away) / total
 
 
 def _part(
@@ -78,8 +128,10 @@ def _part(
 ) -> np.ndarray:
     """What few members add to a mean: both ends.
 
-    Of members that are unequally far away the sum varies as that of fewer, equal ones
-    (Fay and Feuer, Statistics in Medicine 16, 1997, section 2): so many are told of.
+    Of members that are unequally far away the sum varies as that of fewer, equal ones,
+    which are told of. Chance may hold back one as large as the largest: mid-P intervals
+    count half of one more, and that half is as far away (Tiwari, Clegg and Zou,
+    Statistical Methods in Medical Research 15, 2006).
 
     Args:
         members: How many, by their number.
@@ -87,10 +139,27 @@ def _part(
         total: Of all members.
         level: Of confidence [1].
     """
-    far, square = int(members @ away), int(members @ away**2)
-    worth = far**2 // square if far else 0
-    ends = np.array(probability_interval(worth, total, level))
-    return ends * (far / worth if far else 1.0)
+    worth, size = _worth(members, away)
+    low = size * _hits_end(worth, total, level, 0)
+    seen = np.flatnonzero(members * away)
+    largest = np.arange(members.size) == seen[np.argmax(away[seen])] if seen.size else 0
+    if seen.size:
+        worth, size = _worth(members + 0.5 * largest, away)
+        worth -= 0.5
+    return np.array([low, size * _hits_end(worth, total, level, 1)])
+
+
+def _hits_end(hits: float, total: int, level: float, end: int) -> float:
+    """An end of a probability's interval [1], between those of whole hits."""
+    whole = np.array([math.floor(hits), math.ceil(hits)])
+    ends = probability_interval(whole, total, level)[end]
+    return float(ends[0] + (hits - whole[0]) * (ends[1] - ends[0]))
+
+
+def note_of(tables: Sequence[CountTable], whole: bool) -> str:
+    """What intervals of entries of one name suppose, "" for nothing: the first note."""
+    counts = (x for x in tables if whole or x.distinct > 1)
+    return next((x.note for x in counts if x.note), "")
 
 
 def of_counts(

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..validation.checks import FieldError, whole
-from .count_table import MOST, of_counts
-from .group_totals import Replicates
+from .count_table import MOST, note_of, of_counts
 from .histogram import Counted
 from .intervals import checked_level, mean_half_width, probability_interval
 from .statistics_checks import checked_block, checked_edges, checked_share
@@ -195,7 +194,7 @@ class Statistics:
         found: dict[str, Any] = {}
         for name, entry in self._layout.names.items():
             if now.groups is not None:
-                error = self._replicates(name).error
+                error = now.replicates(entry).error
             elif entry.truth:
                 share = np.asarray(self.probability[name]).reshape(-1)
                 error = np.sqrt(share * (1.0 - share) / max(self.count, 1))
@@ -226,7 +225,7 @@ class Statistics:
             hits, count = now.hits[where], self.count
             low, high = probability_interval(hits, count, level)
             if groups is not None:
-                found = self._replicates(name)
+                found = now.replicates(entry)
                 low, high = found.probability_interval(hits, count, level)
             return _shaped(low, entry.shape), _shaped(high, entry.shape)
         if groups is None:
@@ -234,7 +233,7 @@ class Statistics:
             middle, deviation = of.average[where], of.deviation[where]
             half = mean_half_width(deviation, of.count[where], level)
         else:
-            found = self._replicates(name)
+            found = now.replicates(entry)
             middle, half = found.mean, found.half_width(level)
         low, high = middle - half, middle + half
         low, high = of_counts(now.tables[where], entry.whole, low, high, level)
@@ -251,10 +250,21 @@ class Statistics:
             return ""
         if self.group_count is None:
             return "an interval needs two members that did not fail"
-        there = int(self._replicates(name).groups.min())
+        there = int(self._now.replicates(self._named(name)).groups.min())
         return (
             "an interval needs two groups (independent scrambles, Latin sets) with "
             f"at least half of the members of the largest; there is {there}"
+        )
+
+    def note(self, name: str) -> str:
+        """What the interval of a mean count supposes, as a sentence; "" if nothing.
+
+        Raises:
+            FieldError: an unknown name.
+        """
+        entry = self._named(name)
+        return (
+            "" if entry.truth else note_of(self._now.tables[entry.where], entry.whole)
         )
 
     def bounds(self, name: str) -> tuple[Any, Any]:
@@ -380,17 +390,6 @@ class Statistics:
 
     def _numbers(self, flat: np.ndarray) -> dict[str, Any]:
         return {name: self._shaped(name, flat) for name in self.numbers}
-
-    def _replicates(self, name: str) -> Replicates:
-        """What groups say of the entries of a name."""
-        now, entry = self._now, self._layout.names[name]
-        offset = len(now.moments.shift) if entry.truth else 0
-        where = slice(entry.where.start + offset, entry.where.stop + offset)
-        if now.groups is None:
-            nan = np.full(where.stop - where.start, np.nan)
-            return Replicates(nan, nan, np.zeros(nan.shape, int))
-        found = now.groups.replicates(now.shift)
-        return Replicates(*(array[where] for array in found))
 
 
 def _shaped(flat: np.ndarray, shape: tuple[int, ...]) -> Any:

@@ -24,7 +24,7 @@ def summary(statistics: Statistics, level: float = 0.95) -> dict[str, Any]:
         value, low and high [the unit of the value]; ``probabilities``, by name:
         ``probability``, ``standard_error``, ``interval``, ``bounds`` [1]. Values with
         axes are nested lists; what is not finite is None, and ``reason`` says why an
-        interval is.
+        interval is, ``note`` what that of a mean count supposes.
 
     Raises:
         FieldError: a level that is none.
@@ -44,6 +44,7 @@ def summary(statistics: Statistics, level: float = 0.95) -> dict[str, Any]:
                 f"{q:g}": _plain(*found.quantile(name, q, level)) for q in QUANTILES
             },
             "reason": found.reason(name),
+            "note": found.note(name),
         }
         for name in found.numbers
     }

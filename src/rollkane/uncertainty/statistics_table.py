@@ -113,7 +113,7 @@ def _notes(found: Any) -> Iterable[str]:
             yield f"{name}: not finite in {most:,} members, which are left out of it"
     reasons: dict[str, list[str]] = {}
     for name in (*found.numbers, *found.truths):
-        if reason := found.reason(name):
+        if reason := found.reason(name) or found.note(name):
             reasons.setdefault(reason, []).append(name)
     for reason, names in reasons.items():
         yield f"{', '.join(names)}: {reason}"

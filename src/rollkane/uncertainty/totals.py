@@ -9,7 +9,7 @@ import numpy as np
 
 from ..validation.checks import FieldError
 from .count_table import CountTable
-from .group_totals import GroupTotals
+from .group_totals import GroupTotals, Replicates
 from .histogram import FixedHistogram, GrowingHistogram
 from .moments import JointMoments, Moments
 from .quantile_sketch import GroupedSketch
@@ -190,6 +190,15 @@ class Totals:
     def shift(self) -> np.ndarray:
         """Of the sums of groups, shape (D + B,)."""
         return np.concatenate([self.moments.shift, np.zeros(len(self.hits))])
+
+    def replicates(self, entry: Name) -> Replicates:
+        """What groups say of the entries of a name."""
+        offset = len(self.moments.shift) if entry.truth else 0
+        where = slice(entry.where.start + offset, entry.where.stop + offset)
+        if self.groups is None:
+            nan = np.full(where.stop - where.start, np.nan)
+            return Replicates(nan, nan, np.zeros(nan.shape, int))
+        return Replicates(*(x[where] for x in self.groups.replicates(self.shift)))
 
     def add(self, piece: Piece) -> "Totals":
         """With more members."""
