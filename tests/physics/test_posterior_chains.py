@@ -109,14 +109,6 @@ def test_a_number_that_records_do_not_keep_from_zero_has_no_posterior():
     assert caught.value.value == ends
 
 
-def test_bounded_parameters_are_named():
-    spinning = rk.Free("start.angular_velocity[1]", bounds=(0.0, 4.0))
-    found = _of_spins([[1.0, 2.0, 3.0]], (10,), 0.1, spinning)
-    with pytest.raises(rk.FieldError, match='form="scale"') as caught:
-        rk.posterior(found)
-    assert caught.value.value == ("start.angular_velocity[1]",)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("sigma", [0.03, 0.06])
 def test_a_posterior_is_that_of_quadrature(sigma):

@@ -3,7 +3,7 @@
 Where the likelihood stops falling, a density that is flat in a coordinate has an
 infinite mass beyond: no distribution. A positive number has such an end at zero, as its
 logarithm goes on for ever: whether chains come there is a matter of how far the
-likelihood falls on the way.
+likelihood falls on the way. A bound is no such end: there is nothing beyond it.
 """
 
 from typing import TypeAlias
@@ -38,17 +38,19 @@ def open_ends(problem: Problem, search: Search, rise: float) -> tuple[str, ...]:
         rise: Of chi2, beyond which no chain goes.
     """
     z, at = search.minimum.z, search.minimum.at
-    known = uncertainty.coordinate_covariance(at, problem.layout, z)
+    layout = problem.layout
+    known = uncertainty.coordinate_covariance(at, layout, z, bounded=False)
     found: list[str] = []
-    for entry in problem.layout.entries:
+    for entry in layout.entries:
         if entry.free.prior is not None:
             continue
-        for numbers in _numbers(entry, problem.layout.size):
+        for numbers in _numbers(entry, layout.size):
             ends = {
                 end
                 for row, farthest, names in numbers
                 for sign, end in zip((-1.0, 1.0), names, strict=True)
-                if _is_open(problem, search, known, sign * row, farthest, rise)
+                if not _is_bounded(problem, sign * row)
+                and _is_open(problem, search, known, sign * row, farthest, rise)
             }
             found += [f"{entry.name} towards {end}" for end in sorted(ends)]
             if ends:  # other coordinates are relative to sizes
@@ -72,6 +74,12 @@ def _numbers(entry: Coordinates, size: int) -> list[list[_Number]]:
         whole[:, entry.where] = rows
         found.append([(row, farthest, names) for row in whole])
     return found
+
+
+def _is_bounded(problem: Problem, row: np.ndarray) -> bool:
+    """Whether a bound ends a number along its row: those that have one are alone."""
+    ends = np.where(row > 0.0, problem.layout.upper, problem.layout.lower)
+    return bool(np.isfinite(ends[row != 0.0]).all())
 
 
 def _is_open(

@@ -9,9 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..validation.checks import FieldError, whole
-from . import uncertainty
+from .bounded_intervals import LinearBox
 from .experiments import Problem
 from .fit_result import Fit
+from .inner_coordinates import InnerCoordinates
 from .open_ends import open_ends
 from .posterior_draws import PosteriorDraws
 
@@ -30,8 +31,11 @@ def posterior(
     numbers themselves; what has no prior is flat in the coordinates of the fit
     (logarithms of positive numbers, and so a density ``1 / x`` of the number x). That
     is a distribution only where the records keep a number from zero: where they do not,
-    it is refused. Chains begin about the estimates, twice as far apart as the linear
-    covariance tells, in directions and units in which it is one.
+    it is refused. Within bounds, given or of physics (friction is not negative), the
+    density is the same, outside it is zero: steps are in coordinates that have no ends,
+    whose slope is taken in.
+    Chains begin about the estimates, twice as far apart as the linear covariance tells,
+    in directions and units in which it is one.
 
     Args:
         fit: What :func:`rollkane.fit` found.
@@ -47,7 +51,7 @@ def posterior(
 
     Raises:
         FieldError: counts or a seed that are none, parameters that the records do not
-            show or do not keep from an end of their range, bounds, a robust loss.
+            show or do not keep from an end of their range, a robust loss.
         ModuleNotFoundError: numpyro is not installed.
     """
     draws = whole("posterior.draws", draws, 1, "give how many samples")
@@ -56,7 +60,6 @@ def posterior(
     chains = whole("posterior.chains", chains, 1, "give how many, 4 for example")
     each = max(-(-draws // chains), _LEAST)
     _check(fit)
-    layout, z = fit.problem.layout, fit.search.minimum.z
     # of draws of a bell's shape this share is within a deviation that begins where the
     # density is exp(-rise / 2) of the middle's
     rise = 2.0 * np.log(chains * each / (np.sqrt(2.0 * np.pi) * _VISITS))
@@ -71,12 +74,14 @@ def posterior(
             "or record more"
         )
         raise FieldError("posterior.fit", far, problem, remedy)
-    known = uncertainty.coordinate_covariance(fit.search.minimum.at, layout, z)
-    root = np.linalg.cholesky(known)
-    starts = _starts(fit, root, chains, np.random.default_rng(seed))
-    potential = _potential(fit.problem, z, root)
+    layout, linear = fit.problem.layout, LinearBox(fit)
+    deviations = np.sqrt(np.diag(linear.covariance))
+    inner = InnerCoordinates.of(layout.lower, layout.upper, deviations)
+    middle, root = inner.about(linear.free, linear.covariance)
+    starts = _starts(fit, inner, middle, root, chains, np.random.default_rng(seed))
+    potential = _potential(fit.problem, inner, middle, root)
     samples, diverged = _sampled(potential, starts, each, warmup, seed)
-    found = z + samples @ root.T
+    found = np.asarray(jax.vmap(inner.numbers)(middle + samples @ root.T))
     # draws in front, before the records of those that have their own
     each_draw = [layout.by_path(lambda e, x=x: e.at(x).value) for x in found]
     values = {p: np.stack([one[p] for one in each_draw]) for p in each_draw[0]}
@@ -92,57 +97,61 @@ def _check(fit: Fit) -> None:
     Raises:
         FieldError: what :func:`posterior` refuses of a fit but its open ends.
     """
-    layout = fit.problem.layout
     if fit.unseen:
         remedy = "hold one of them, or give a prior"
         raise FieldError("posterior.fit", fit.unseen, "has unseen parameters", remedy)
-    limits = ((e.name, np.isfinite([e.lower, e.upper])) for e in layout.entries)
-    bounded = tuple(name for name, known in limits if known.any())
-    if bounded:
-        remedy = (
-            "leave bounds out, or give priors instead; of what is never negative, as "
-            'friction and drag are, free the factor: form="scale"'
-        )
-        raise FieldError("posterior.fit", bounded, "has bounded parameters", remedy)
     if fit.loss != "linear":
         raise FieldError("posterior.fit.loss", fit.loss, "is not a likelihood", "refit")
 
 
 def _starts(
-    fit: Fit, root: np.ndarray, chains: int, random: np.random.Generator
+    fit: Fit,
+    inner: InnerCoordinates,
+    middle: np.ndarray,
+    root: np.ndarray,
+    chains: int,
+    random: np.random.Generator,
 ) -> np.ndarray:
     """Where chains begin in whitened coordinates, shape (C, P).
 
     Nearer where the model bends so much that chi2 rises beyond what it does of a linear
     one: there are minima that belong to other motions.
     """
-    z, size = fit.search.minimum.z, fit.search.minimum.z.size
+    size = middle.size
     most = fit.chi2 + _APART**2 * (size + 4.0 * np.sqrt(2.0 * size))
     found = _APART * random.standard_normal((chains, size))
     for k in range(chains):
         for _ in range(20):  # to a millionth
-            at = fit.problem.evaluate(z + root @ found[k])
+            z = np.asarray(inner.numbers(jnp.asarray(middle + root @ found[k])))
+            at = fit.problem.evaluate(z)
             if at.usable and float(np.sum(at.residual**2)) <= most:
                 break
             found[k] *= 0.5
     return found
 
 
-def _potential(problem: Problem, z: np.ndarray, root: np.ndarray) -> Any:
+def _potential(
+    problem: Problem, inner: InnerCoordinates, middle: np.ndarray, root: np.ndarray
+) -> Any:
     """Minus the logarithm of the density in whitened coordinates.
 
     Half of chi2, with its gradient ``J^T r``; less the volume of numbers with a prior
-    that is in one of their coordinates, as the prior is a density of the numbers.
+    that is in one of their coordinates, as the prior is a density of the numbers, and
+    that of the coordinates in those without ends.
     """
     evaluate, volume = problem.pure(), jax.value_and_grad(problem.prior_volume())
-    middle, whitened = jnp.asarray(z), jnp.asarray(root)
+    centre, whitened = jnp.asarray(middle), jnp.asarray(root)
+    inner_volume = jax.value_and_grad(inner.log_slope)
 
     def with_slope(u: Float[Array, " P"]) -> tuple[Array, Array]:
-        at = middle + whitened @ u
+        y = centre + whitened @ u
+        at, pulled = jax.vjp(inner.numbers, y)
         residual, jacobian = evaluate(at)
         more, uphill = volume(at)
-        value = 0.5 * jnp.sum(residual**2) - more
-        return value, whitened.T @ (jacobian.T @ residual - uphill)
+        bent, uphill_bent = inner_volume(y)
+        value = 0.5 * jnp.sum(residual**2) - more - bent
+        (slope,) = pulled(jacobian.T @ residual - uphill)
+        return value, whitened.T @ (slope - uphill_bent)
 
     @jax.custom_vjp
     def potential(u: Float[Array, " P"]) -> Float[Array, ""]:
