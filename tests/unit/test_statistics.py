@@ -139,6 +139,40 @@ def test_small_scatter_about_a_large_mean():
     assert found.covariance[0, 0] == pytest.approx(variance, rel=4096 * EPS)
 
 
+@pytest.mark.parametrize("group_count", [None, 16])
+@pytest.mark.parametrize("power", [-1000, -560, 520, 1015])
+def test_numbers_whose_squares_are_none(power, group_count):
+    """Below 1e-160 there was no width, above 1e154 no number."""
+    x = np.random.default_rng(0).standard_normal(6000)
+    groups = None if group_count is None else np.arange(6000) % group_count
+    plain, found = (
+        fed({"x": values}, np.ones(6000, bool), groups, group_count)
+        for values in (x, np.ldexp(x, power))
+    )
+    told = lambda found: [
+        *(y["x"] for y in (found.mean, found.standard_deviation, found.standard_error)),
+        *found.interval("x"),
+    ]
+    # a power of two: the same digits, but for those of where they are put together
+    known = np.ldexp(told(plain), power)
+    np.testing.assert_allclose(told(found), known, rtol=1e-12)
+
+
+def test_sizes_that_grow_on_the_way():
+    """From one piece of 4096 members to the next, as NumPy has them of the largest."""
+    x = np.random.default_rng(0).standard_normal(4096)
+    for scales in (
+        [1e-250, 1.0],
+        [1.0, 1e250],
+        [0.0, 1e-250],
+        [1e250, 1.0],
+        [0.0, 1.0],
+    ):
+        values, most = np.concatenate([scale * x for scale in scales]), max(scales)
+        found, known = of(values), np.std(values / most, ddof=1) * most
+        assert found.standard_deviation["x"] == pytest.approx(known, rel=1e-12)
+
+
 def test_a_constant_has_no_scatter():
     found = of(np.full(5000, 0.1))
     assert found.mean["x"] == 0.1

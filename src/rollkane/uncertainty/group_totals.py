@@ -102,9 +102,10 @@ class GroupTotals:
         counts, sums, own = self.counts.copy(), self.sums.copy(), groups[valid]
         for k, row in enumerate(values):
             finite = np.isfinite(row)
-            weights = np.where(finite, row - shift[k], 0.0)
             counts[:, k] += np.bincount(own[finite], minlength=size)
-            sums[:, k] += np.bincount(own, weights, minlength=size)
+            with np.errstate(invalid="ignore", over="ignore"):
+                weights = np.where(finite, row - shift[k], 0.0)
+                sums[:, k] += np.bincount(own, weights, minlength=size)
         return GroupTotals(members, counts, sums)
 
     def replicates(self, shift: np.ndarray) -> Replicates:

@@ -246,6 +246,10 @@ def of_replicates(means: Any, counts: Any) -> tuple[np.ndarray, np.ndarray]:
     groups = (counts > 0).sum(axis=0)
     weights = counts / np.maximum(counts.sum(axis=0), 1)
     mean = (weights * means).sum(axis=0)
-    squares = (weights**2 * (means - mean) ** 2).sum(axis=0)
+    apart = weights * (means - mean)
+    # in a power of two, as squares may be too small or too large to be numbers
+    _, power = np.frexp(abs(apart).max(axis=0, initial=0.0))
+    squares = (np.ldexp(apart, -power) ** 2).sum(axis=0)
     error = np.sqrt(squares * groups / np.maximum(groups - 1, 1))
+    error = np.ldexp(error, power)
     return np.where(groups > 0, mean, np.nan), np.where(groups > 1, error, np.nan)

@@ -4,6 +4,10 @@ import dataclasses
 
 import numpy as np
 
+# Powers of two up to which squares of differences, and of roundings of these, have all
+# their digits; and the largest by which numbers can be divided.
+_PLAIN, _MOST = 300, 1000
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Moments:
@@ -11,11 +15,13 @@ class Moments:
 
     Values are taken relative to a number among the first of them (their median), which
     loses nothing where they are close to each other; pieces are put together by Chan's
-    formula. What is not finite is left out, entry by entry.
+    formula. What is not finite is left out, entry by entry. Differences whose squares
+    would leave the range of numbers, or their digits, are told in a power of two.
 
     Attributes:
         count: Finite values, shape (D,).
         shift: What was subtracted [the entry's unit], shape (D,).
+        power: Differences are in units of two to it; nearly always 0, shape (D,).
         mean: Of the differences, shape (D,).
         squares: Sum of squared deviations from the mean, shape (D,).
         minimum: Of the values, infinite for none, shape (D,).
@@ -27,6 +33,7 @@ class Moments:
 
     count: np.ndarray
     shift: np.ndarray
+    power: np.ndarray
     mean: np.ndarray
     squares: np.ndarray
     minimum: np.ndarray
@@ -37,7 +44,8 @@ class Moments:
         """Of no values of so many entries."""
         zeros = np.zeros(entries)
         infinite = np.full(entries, np.inf)
-        return cls(zeros.astype(int), zeros, zeros, zeros, infinite, -infinite)
+        whole = zeros.astype(int)
+        return cls(whole, zeros, whole, zeros, zeros, infinite, -infinite)
 
     @property
     def least(self) -> np.ndarray:
@@ -57,13 +65,41 @@ class Moments:
         if new.any():
             shift = np.where(new, _medians(values, finite), shift)
         size = np.maximum(count, 1)
+        before = self._in_powers_for(values, shift, finite)
+        unit = np.ldexp(1.0, -before.power)
         with np.errstate(invalid="ignore", over="ignore"):
-            moved = np.where(finite, values - shift[:, None], 0.0)
+            plain = not before.power.any()
+            moved = (
+                values - shift[:, None]
+                if plain
+                else values * unit[:, None] - (shift * unit)[:, None]
+            )
+            moved = np.where(finite, moved, 0.0)
             mean = moved.sum(axis=1) / size
             away = np.where(finite, moved - mean[:, None], 0.0)
             # the second sum takes out what rounding of the mean added
             squares = (away * away).sum(axis=1) - away.sum(axis=1) ** 2 / size
-            return self._joined(count, shift, mean, squares, values, finite)
+            return before._joined(count, shift, mean, squares, values, finite)
+
+    def _in_powers_for(
+        self, values: np.ndarray, shift: np.ndarray, finite: np.ndarray
+    ) -> "Moments":
+        """The same, in units in which squares of new differences have digits."""
+        half = np.where(finite, 0.5 * values - 0.5 * shift[:, None], 0.0)
+        _, power = np.frexp(abs(half).max(axis=1, initial=0.0))
+        power = np.where(abs(power) > _PLAIN, np.clip(power, -_MOST, _MOST), 0)
+        # what was the same so far has no size yet; what grew so far keeps no old digits
+        same = (self.mean == 0.0) & (self.squares == 0.0)
+        power = np.where(same | (power > self.power), power, self.power)
+        if np.array_equal(power, self.power):
+            return self
+        change = self.power - power
+        return dataclasses.replace(
+            self,
+            power=power,
+            mean=np.ldexp(self.mean, change),
+            squares=np.ldexp(self.squares, 2 * change),
+        )
 
     def _joined(
         self,
@@ -80,6 +116,7 @@ class Moments:
         return Moments(
             count=total,
             shift=shift,
+            power=self.power,
             mean=self.mean + apart * share,
             squares=self.squares + squares + apart**2 * self.count * share,
             minimum=np.minimum(
@@ -95,13 +132,15 @@ class Moments:
     @property
     def average(self) -> np.ndarray:
         """Mean of the values [the entry's unit], NaN for none, shape (D,)."""
-        return np.where(self.count > 0, self.shift + self.mean, np.nan)
+        moved = np.ldexp(self.mean, self.power)
+        return np.where(self.count > 0, self.shift + moved, np.nan)
 
     @property
     def deviation(self) -> np.ndarray:
         """Standard deviation (n - 1), NaN for fewer than two, shape (D,)."""
         variance = self.squares / np.maximum(self.count - 1, 1)
-        return np.where(self.count > 1, np.sqrt(np.maximum(variance, 0.0)), np.nan)
+        found = np.ldexp(np.sqrt(np.maximum(variance, 0.0)), self.power)
+        return np.where(self.count > 1, found, np.nan)
 
 
 def _medians(values: np.ndarray, finite: np.ndarray) -> np.ndarray:
