@@ -271,6 +271,9 @@ NO_NUMBERS = {
     "domain": lambda: rk.Parametric(
         lambda q: [q[0], q[1], 0.0], domain=[["0", "1"], ["0", "1"]]
     ),
+    "a truth value in a tensor": lambda: rk.Body(
+        1.0, [[1, 0, 0], [0, True, 0], [0, 0, 1.0]], rk.Sphere(0.1)
+    ),
     "mass": lambda: rk.Body(np.ma.array(1.0, mask=True), INERTIA, rk.Sphere(0.1)),
 }
 

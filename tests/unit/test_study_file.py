@@ -182,6 +182,10 @@ WRONG = {
         ("times = [0.0, 0.1]", "times = [0.1, 0.1]"),
         ("times: must be finite and strictly increasing",),
     ),
+    "times of truth": (
+        ("times = [0.0, 0.1]", "times = [0, true]"),
+        ("times: must be made of real numbers",),
+    ),
     "no times": (("times = [0.0, 0.1]", 'times = "ten"'), ("times",)),
     "a path": (('"body.mass"', '"body.mas"'), ("body.mas", "did you mean")),
     "half a tensor": (

@@ -220,6 +220,8 @@ NO_TIMES = {
     "dates": (np.array([0, 1, 500], "datetime64[ms]"), SECONDS),
     "texts": (["0", "0.1", "0.3"], "real numbers"),
     "truth values": ([False, True], "real numbers"),
+    "a truth value among numbers": ([0, True], "real numbers"),
+    "a truth value of NumPy's": ((0.0, np.True_, 3.0), "real numbers"),
     "complex": (np.array([0.0, 0.1 + 2.0j, 0.3]), "real numbers"),
     "masked": (np.ma.array(TIMES, mask=[0, 1, 0]), "masked"),
     "a set": ({0.0, 0.3}, "real numbers"),

@@ -25,6 +25,7 @@ _ARRAYS: tuple[type[Any], ...] = (np.ndarray, jax.Array)
 _TRUTHS: tuple[type[Any], ...] = (bool, np.bool_)
 _WHOLE: tuple[type[Any], ...] = (int, np.integer)
 _EXACT = numbers.Real, decimal.Decimal
+_NUMBERS = {int, float, np.float64}  # most of what lists are made of
 # of NumPy's kinds of durations and dates
 _IN_SECONDS = {
     "m": '{0} / np.timedelta64(1, "s")',
@@ -126,6 +127,8 @@ def real_numbers(field: str, value: Any, remedy: str) -> Any:
         raise FieldError(field, value, "must be made of numbers", remedy)
     if np.ma.is_masked(value):
         raise FieldError(field, value, "must have no masked entries", remedy)
+    if _has_truths(value):  # which NumPy makes numbers of where others are beside them
+        raise FieldError(field, value, "must be made of real numbers", remedy)
     try:
         # NumPy where the numbers are known: each jnp call would compile a program
         array: Any = jnp.asarray(value) if is_traced(value) else np.asarray(value)
@@ -140,6 +143,17 @@ def real_numbers(field: str, value: Any, remedy: str) -> Any:
             remedy = "give " + _IN_SECONDS[kind].format(name)
         raise FieldError(field, value, "must be made of real numbers", remedy)
     return array
+
+
+def _has_truths(value: Any) -> bool:
+    """Whether a truth value is anywhere in nested lists."""
+    if not isinstance(value, (list, tuple)):
+        return getattr(getattr(value, "dtype", None), "kind", "") == "b"
+    entries = cast("list[Any]", value)
+    kinds = set(map(type, entries))  # in a tenth of the time of a look at each
+    if not kinds.isdisjoint(_TRUTHS):
+        return True
+    return not kinds <= _NUMBERS and any(map(_has_truths, entries))
 
 
 def real(
