@@ -362,3 +362,33 @@ def test_times_that_look_like_milliseconds(csv_file):
         warnings.simplefilter("error")
         record = rk.read_record(path, **GYRO, units={"time": "s"})
     assert record.time[-1] == 40.0
+
+
+@pytest.mark.parametrize("form", ["%.6f", "%.9e"])
+def test_a_file_that_ends_within_its_last_number_is_refused(tmp_path, form):
+    """Printed alike, with no line end: what is left of 12.5 would be 12, or 1."""
+    samples = np.random.default_rng(0).normal(scale=9.0, size=(60, 4))
+    samples[:, 0] = 0.01 * np.arange(60)
+    path = tmp_path / "cut.csv"
+    np.savetxt(path, samples, form, ",", header="t,x,y,z", comments="")
+    whole = path.read_text()
+    axes = {"gyro": ("x", "y", "z")}
+    for end in (0, 1):  # the whole file, and without its last line end
+        path.write_text(whole[: len(whole) - end])
+        assert rk.read_record(path, **axes).time.size == 60
+    for end in range(2, 8):
+        path.write_text(whole[:-end])
+        with pytest.raises(rk.FieldError, match=r"line 61: ends within the number"):
+            rk.read_record(path, **axes)
+    path.write_text(whole[:-2] + "\n")  # a line that ends is whole
+    assert rk.read_record(path, **axes).time.size == 60
+
+
+def test_numbers_of_any_length_need_no_line_end(tmp_path):
+    """As Python and JavaScript print them, a tenth is shorter than the others."""
+    path = tmp_path / "whole.csv"
+    values = [*(0.01 * np.round(np.arange(1, 60))), 2.0]
+    rows = "\n".join(f"{k / 100},{x!r}" for k, x in enumerate(map(float, values)))
+    path.write_text(f"t,n\n{rows}")
+    read = rk.read_record(path, normal_force="n").channels["normal_force"].values
+    assert read[-1] == 2.0

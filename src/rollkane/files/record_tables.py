@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..validation.checks import FieldError
-from .accelerogram_lines import Lines
+from .accelerogram_lines import MANY_ALIKE, Lines
 from .file_endings import NETCDF, ending
 
 READER = "read_record"
@@ -171,6 +171,8 @@ def _of_csv(path: str | os.PathLike[str]) -> Table:
         if len(row) != len(names):
             problem = f"has {len(row)} cells below {len(names)} names"
             file.refuse(k, problem, "mend the row")
+    if numbers[-1] == len(whole) - 1:  # no comment is behind it
+        file.check_end([row[-1] for row in rows[1:]], MANY_ALIKE)
 
     def cells(name: str) -> list[str]:
         k = names.index(name)
