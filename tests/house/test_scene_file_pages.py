@@ -112,5 +112,5 @@ def test_examples_can_be_read(text, tmp_path):
     lines = [f"{key} = {as_toml(value)}" for key, value in document.items()]
     path = tmp_path / "example.toml"
     path.write_text("\n".join(lines))
-    (tmp_path / "shaking.txt").write_text("0.0 0.0\n0.1 3.0\n0.2 0.0\n")
+    (tmp_path / "shaking.txt").write_text("0.0 0.0\n1.0 3.0\n2.0 0.0\n")
     assert load_scene(path).start is not None

@@ -89,7 +89,7 @@ def at(states):
         ('of = "lift-of"', r"events\[2\]\.of: is not a known name"),
         ('of = "spin"\nlevl = 1.0', r"events\[2\]\.levl: is an unknown name"),
         ('of = "spin"\nlevel = "high"', r"events\[2\]\.level: must be a number"),
-        ('of = "spin"\ndirection = 2', r"events\[2\]\.direction: is not a known"),
+        ('of = "spin"\ndirection = 2', r"events\[2\]\.direction: is none of"),
         ('of = "lift-off"\nname = "x"\nlevel = 1.0', "it has no level"),
         ('of = "lift-off"', "is called 'lift-off', as another.*of its observable"),
         ('level = 1.0\nname = "x"', r"events\[2\]\.of: is missing"),

@@ -136,13 +136,14 @@ REFUSED = {
         lambda: rk.simulate(
             rk.Scene(BODY, rk.Base(motion=RECORD)), started(), (-0.5, 0.5)
         ),
-        "simulate.times: leave the record of Base.motion, which is known from 0 to 1 s",
+        "simulate.times: must stay within the record of Base.motion, which is known "
+        "from 0 to 1 s",
     ),
     "times behind a record": (
         lambda: rk.simulate(
             rk.Scene(BODY, rk.Base(motion=RECORD)), started(), (0.0, 2.0)
         ),
-        "simulate.times: leave the record",
+        "simulate.times: must stay within the record",
     ),
     "unknown equations": (
         lambda: rk.euler_lagrange_derivative(

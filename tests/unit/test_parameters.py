@@ -723,9 +723,9 @@ def test_a_record_longer_than_the_base_is_known(delay):
     motion = rk.RecordedMotion(clock, np.zeros(52))
     scene = scene_of(base=rk.Base(rk.Plane(), motion))
     free = FREE if delay is None else rk.Free("gyro.delay", bounds=(delay, 0.02))
-    with pytest.raises(rk.FieldError, match=r"leave the record of Base\.motion"):
+    with pytest.raises(rk.FieldError, match=r"within the record of Base\.motion"):
         rk.fit(scene, START, RECORD, free)
-    with pytest.raises(rk.FieldError, match=r"leave the record of Base\.motion"):
+    with pytest.raises(rk.FieldError, match=r"within the record of Base\.motion"):
         rk.identifiability(scene, START, RECORD, free)
 
 

@@ -165,6 +165,10 @@ REFUSED = {
     "shards": ((*SIZE, "--store", "s.zarr", "--shard", "3/2"), "is not among the"),
     "shard of nothing": ((*SIZE, "--shard", "1/2"), "has no store to share"),
     "precision": ((*SIZE, "--precision", "position"), "is not NAME=HALF_WIDTH"),
+    "precisions": (
+        (*SIZE, "--precision", "position=1", "--precision", "position=2"),
+        "names position twice",
+    ),
     "width": ((*SIZE, "--precision", "position=-1"), "--precision"),
     "name": ((*SIZE, "--precision", "nothing=1"), "is not looked at"),
     "cluster": ((*SIZE, "--cluster", "nowhere"), "is no executor"),

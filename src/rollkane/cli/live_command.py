@@ -79,6 +79,8 @@ def _asked(given: Sequence[str]) -> dict[str, tuple[float, float]]:
         ends = text.split(":")
         if not path.strip() or len(ends) != 2:
             refuse("--vary", f"{one!r} is not PATH=LOW:HIGH, such as body.mass=1:2")
+        if path.strip() in found:
+            refuse("--vary", f"names {path.strip()} twice")
         try:
             found[path.strip()] = float(ends[0]), float(ends[1])
         except ValueError:

@@ -2,9 +2,12 @@
 
 import math
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import click
+
+from .option_values import refuse
 
 FAILED, BAD_INPUT, STOPPED_EARLY = 1, 2, 3  # exit codes
 _EXTRA_OPTIONS = "xla_backend_extra_options"
@@ -61,14 +64,53 @@ def start_jax() -> None:
 
 def changes_of(given: tuple[str, ...]) -> dict[str, str]:
     """Values by path, of options ``PATH=VALUE``."""
-    found: dict[str, str] = {}
+    found: list[tuple[str, str]] = []
     for one in given:
         path, equals, text = one.partition("=")
         if not equals or not path.strip() or not text.strip():
-            problem = f"{one!r} is not PATH=VALUE, such as body.mass=2.0"
-            raise click.BadParameter(problem, param_hint="'--set'")
-        found[path.strip()] = text.strip()
-    return found
+            refuse("--set", f"{one!r} is not PATH=VALUE, such as body.mass=2.0")
+        found.append((path.strip(), text.strip()))
+    refuse_undone("--set", [path for path, _ in found])
+    return dict(found)
+
+
+def refuse_undone(option: str, given: Sequence[str]) -> None:
+    """Refuse paths of which a later one takes the place of an earlier one.
+
+    Raises:
+        click.BadParameter: there are some.
+    """
+    from ..files.scene_files.changes import undone
+
+    lost = undone(given)
+    if lost is None:
+        return
+    if lost[0] == lost[1]:
+        refuse(option, f"names {lost[0]} twice")
+    refuse(option, f"{lost[1]} would undo {lost[0]}: give the whole first, or one")
+
+
+def with_run(changes: tuple[str, ...], options: dict[str, Any]) -> tuple[str, ...]:
+    """Options ``PATH=VALUE``, with how long a run lasts and how many outputs it has.
+
+    Args:
+        changes: As they are given.
+        options: Those that replace what the file says of its run, None where they are
+            left out; ``duration`` and ``outputs`` are taken out of it.
+
+    Raises:
+        click.BadParameter: one of them is given both ways.
+    """
+    from ..files.scene_files.changes import same_field
+
+    paths = list(changes_of(changes))
+    for name, value in options.items():
+        if value is not None and any(same_field(x, ("run", name)) for x in paths):
+            option = name.replace("_", "-")
+            refuse("--set", f"sets run.{name}, which --{option} sets, too")
+    given = {name: options.pop(name) for name in ("duration", "outputs")}
+    own = (f"run.{name}={x!r}" for name, x in given.items() if x is not None)
+    return (*changes, *own)
 
 
 def loaded(ctx: click.Context, scene: str, changes: tuple[str, ...] = ()) -> Any:

@@ -24,6 +24,7 @@ from .preparation import (
     loaded,
     scene_argument,
     start_jax,
+    with_run,
 )
 from .waiting import INTERRUPTED, waited
 
@@ -137,8 +138,8 @@ def simulate(
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, force=force)
     start_jax()
-    file = loaded(ctx, scene, changes)
-    times = times_of(file, options.pop("duration"), options.pop("outputs"))
+    file = loaded(ctx, scene, with_run(changes, options))
+    times = file.times
     how = how_to_run(file, **options) | watched(file, stop)
     result, timing, interrupted = _run(file, times, how, quiet or as_json)
     told = not (quiet or as_json)
@@ -161,15 +162,6 @@ def simulate(
         ctx.exit(INTERRUPTED if interrupted else STOPPED_EARLY)
     if len(written) < len(targets):
         ctx.exit(FAILED)
-
-
-def times_of(file: Any, duration: float | None, outputs: int | None) -> Any:
-    """Output times of a scene file, or as options have it."""
-    import numpy as np
-
-    if duration is None and outputs is None:
-        return file.times
-    return np.linspace(0.0, duration or file.times[-1], outputs or len(file.times))
 
 
 def how_to_run(

@@ -59,6 +59,9 @@ def steady(
     \b
     rollkane steady rolling-disc --hold speed=1.5 --hold tilt
 
+    The contact never changes: SCENE's [modes] are left out, and told where they would
+    not let the motion be; its events and its [run] are not used.
+
     Exit code 0: done; 2: bad input, or no steady motion; nothing is written then.
     """
     targets = {} if json_file in (None, "-") else {"json": Path(json_file)}
@@ -77,6 +80,7 @@ def steady(
     known = _motion_json(motion) | {"start": _start_json(file.scene, motion.state)}
     if energy_sign:
         known["energy_sign"] = _sign_json(motion.energy_sign)
+    _tell_modes(file, [motion.state], quiet)
     if printed:
         click.echo(json_text(known))
         return
@@ -126,7 +130,7 @@ def family(
     rollkane family rolling-disc --vary start.spin=1:20 --plot disc.png
 
     What else is free is held as it is in the start, and told: tilt, spin, speed or
-    energy, unless --hold says otherwise. Exit codes as of steady.
+    energy, unless --hold says otherwise. [modes] and exit codes as of steady.
     """
     printed = json_file == "-"
     asked = {"json": None if printed else json_file, "plot": plot}
@@ -150,6 +154,9 @@ def family(
             _plotted(branch, targets["plot"], show, file.title)
     except (FieldError, ImportError) as refused:
         raise click.UsageError(str(refused)) from refused
+    # along a number of the scene each point has a scene of its own
+    same = branch.vary.startswith("hold.")
+    _tell_modes(file, [p.state for p in branch.points] if same else [], quiet)
     if printed:
         click.echo(json_text(_branch_json(branch, motion)))
         return
@@ -227,6 +234,47 @@ def _tell(branch: Any, motion: Any) -> None:
         growth = max((v.real for v in point.eigenvalues), default=0.0)
         said = "stable" if point.stable else f"{growth:.6g}"
         click.echo("  " + " ".join(f"{v:>18.9g}" for v in row) + f"{said:>18}")
+
+
+def _tell_modes(file: Any, states: Sequence[Any], quiet: bool) -> None:
+    """Say that modes are left out, and of how many states they would make another one.
+
+    Args:
+        file: The scene file.
+        states: Of steady motions of its scene, in which the body rolls.
+        quiet: Whether nothing but what is wrong is told.
+    """
+    if file.modes is None:
+        return
+    if not quiet:
+        click.echo("note: [modes] are left out: the body rolls throughout", err=True)
+    for how, count in (_ended_by(file, states) if states else {}).items():
+        which = (
+            "the motion" if len(states) == 1 else f"{count} of {len(states)} motions"
+        )
+        if count:
+            click.echo(f"warning: with [modes] {which} would {how}", err=True)
+
+
+def _ended_by(file: Any, states: Sequence[Any]) -> dict[str, int]:
+    """How many steady motions modes would end, by what they would do."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from ..dynamics.observables import friction_ratio, normal_force
+
+    def seen(state: Any) -> Any:
+        at = file.scene, jnp.zeros(()), state
+        return normal_force(*at), friction_ratio(*at)
+
+    found = jax.jit(seen)
+    force, ratio = np.array([found(state) for state in states]).T
+    pulls = force < 0.0
+    sticking = file.modes.sticking
+    slips = ~pulls & (ratio > (np.inf if sticking is None else float(sticking)))
+    counts = {"lift off": pulls & file.modes.lifts, "slip": slips}
+    return {how: int(np.sum(which)) for how, which in counts.items()}
 
 
 def _motion_json(motion: Any) -> dict[str, Any]:

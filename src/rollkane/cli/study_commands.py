@@ -147,6 +147,8 @@ def _precisions(given: tuple[str, ...]) -> dict[str, float]:
         name, equals, text = one.rpartition("=")
         if not equals or not name.strip():
             refuse("--precision", f"{one!r} is not NAME=HALF_WIDTH")
+        if name.strip() in found:
+            refuse("--precision", f"names {name.strip()} twice")
         try:
             found[name.strip()] = Positive().convert(text, None, None)
         except click.BadParameter as refused:

@@ -15,8 +15,16 @@ import click
 from .json_text import json_text
 from .option_values import quiet_option, refuse, verbose_option
 from .output_files import check_targets, force_option, telling_of_files
-from .preparation import BAD_INPUT, STOPPED_EARLY, loaded, scene_argument, start_jax
-from .simulate_command import how_to_run, run_options, set_option, times_of
+from .preparation import (
+    BAD_INPUT,
+    STOPPED_EARLY,
+    changes_of,
+    loaded,
+    scene_argument,
+    start_jax,
+    with_run,
+)
+from .simulate_command import how_to_run, run_options, set_option
 from .sweep_points import Group, Point, Varied, groups_of, stacked, varied
 from .waiting import INTERRUPTED, waited
 
@@ -96,14 +104,12 @@ def sweep(
     targets = {name: Path(file) for name, file in asked.items() if file is not None}
     check_targets(targets, scene, force=force)
     ranges = varied(over)
-    for one in ranges:
-        name = one.path.removeprefix("run.")
-        if name != one.path and options.get(name) is not None:
-            refuse("--vary", f"varies {one.path}, which --{name} sets for all points")
+    _refuse_undone(changes, ranges, options)
     if plot is not None and len(ranges) > 2:
         problem = f"draws one or two numbers that vary, not {len(ranges)}; use --out"
         raise click.BadParameter(problem, param_hint="'--plot'")
     start_jax()
+    changes = with_run(changes, options)
     file = loaded(ctx, scene, changes)
     groups = groups_of(scene, changes, ranges)
     if isinstance(groups, Point):
@@ -119,6 +125,24 @@ def sweep(
             if not (quiet or as_json):
                 click.echo(f"  wrote {target}")
     _end(ctx, swept, interrupted)
+
+
+def _refuse_undone(
+    changes: tuple[str, ...], over: list[Varied], options: dict[str, Any]
+) -> None:
+    """Refuse to vary what another option sets for all points."""
+    from ..files.scene_files.changes import same_field, undone
+
+    for one in over:
+        for name, value in options.items():
+            if value is not None and same_field(one.path, ("run", name)):
+                problem = f"varies {one.path}, which --{name} sets for all points"
+                refuse("--vary", problem)
+        # those that are set are put first
+        lost = undone([*changes_of(changes), one.path])
+        if lost is not None:
+            problem = f"varies {one.path}, and --set sets {lost[0]} for all points"
+            refuse("--vary", problem)
 
 
 def _refuse_point(point: Point, scene: str) -> None:
@@ -186,8 +210,7 @@ def _swept(
     from .sweep_result import joined
 
     count = sum(len(group.places) for group in groups)
-    asked = options.pop("duration"), options.pop("outputs")
-    times = [times_of(group.files[0], *asked) for group in groups]
+    times = [group.files[0].times for group in groups]
     _refuse_untold(groups, times, out)
     done: list[tuple[Any, Any]] = []
 

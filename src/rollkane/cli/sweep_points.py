@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, TypeAlias, cast
 
 from .option_values import finite_number, refuse
-from .preparation import changes_of
+from .preparation import changes_of, refuse_undone
 
 # each is loaded as a file of its own is, in about 3 ms
 MOST_POINTS = 100_000
@@ -59,7 +59,9 @@ def varied(given: Sequence[str]) -> list[Varied]:
     Raises:
         click.BadParameter: an option of another form, a path twice, too many points.
     """
-    found = [_one(path, text) for path, text in _apart(given)]
+    parts = list(_apart(given))
+    refuse_undone("--vary", [path for path, _ in parts])
+    found = [_one(path, text) for path, text in parts]
     count = math.prod(len(one.values) for one in found)
     if count > MOST_POINTS:
         refuse("--vary", f"asks for {count:,} points, more than {MOST_POINTS:,}")
@@ -67,7 +69,6 @@ def varied(given: Sequence[str]) -> list[Varied]:
 
 
 def _apart(given: Sequence[str]) -> Iterable[tuple[str, str]]:
-    seen: set[str] = set()
     for one in given:
         path, equals, text = (part.strip() for part in one.partition("="))
         if not (path and equals and text):
@@ -75,9 +76,6 @@ def _apart(given: Sequence[str]) -> Iterable[tuple[str, str]]:
                 "--vary",
                 f"{one!r} is not PATH=LOW:HIGH:COUNT, such as body.mass=1:2:11",
             )
-        if path in seen:
-            refuse("--vary", f"names {path} twice")
-        seen.add(path)
         yield path, text
 
 

@@ -146,11 +146,94 @@ def simulate(
         return ready(method, scene, start)
     given = scene, start
     scene, start = in_one_precision(scene, start)
+    ready = _ready(
+        *(scene, start, times, modes, parts, second_contact, events, stop),
+        *(formulation, coordinates, method, solver, dt0),
+        steps={"rtol": rtol, "atol": atol, "max_steps": max_steps},
+    )
+    if key is not None and scene is given[0] and start is given[1]:
+        keep_call(scene, key, ready)
+    return ready(method, scene, start)
+
+
+def check_run(
+    scene: Scene,
+    start: AnyState,
+    times: Any,
+    *,
+    rtol: float | None = None,
+    atol: float | None = None,
+    modes: Modes | None = None,
+    method: str = "auto",
+    second_contact: bool = False,
+    events: Any = (),
+) -> None:
+    """Refuse what :func:`simulate` refuses before it runs anything, and run nothing.
+
+    Args:
+        scene: As ``simulate`` takes it, as are all others.
+        start: State at ``times[0]``.
+        times: Output times [s].
+        rtol: Relative tolerance of a step [1].
+        atol: Absolute tolerance of a step.
+        modes: How the contact may change.
+        method: Which loop makes the run.
+        second_contact: Whether the run ends at one.
+        events: What is looked for.
+
+    Raises:
+        FieldError: as :func:`simulate`.
+    """
+    check_scene("simulate", scene, start)
+    scene, start = in_one_precision(scene, start)
+    parts = dict.fromkeys((*_DIFFRAX_ALONE,))
+    _ready(
+        *(scene, start, times, modes, parts, second_contact, events, None),
+        *("rolling", "pole-free", method, None, None),
+        steps={"rtol": rtol, "atol": atol, "max_steps": None},
+    )
+
+
+def _ready(
+    scene: Scene,
+    start: AnyState,
+    times: Any,
+    modes: Modes | None,
+    parts: dict[str, Any],
+    second_contact: Any,
+    events: Any,
+    stop: Any,
+    formulation: str,
+    coordinates: str,
+    method: str,
+    solver: Any,
+    dt0: Any,
+    *,
+    steps: dict[str, Any],
+) -> ReadyCall:
+    """A checked call, see :func:`simulate`.
+
+    Args:
+        scene: In one precision.
+        start: In the same.
+        times: Output times [s].
+        modes: How the contact may change.
+        parts: Those of diffrax that only its own loop has.
+        second_contact: Whether the run ends at one.
+        events: What is looked for.
+        stop: What ends the run.
+        formulation: Which equations.
+        coordinates: Which coordinates.
+        method: Which loop.
+        solver: diffrax solver, or None.
+        dt0: First step [s], or None.
+        steps: Tolerances and the most steps, by name.
+    """
     _check_names(formulation, coordinates)
     check_method(method)
     check_kinds("simulate", solver=solver, **parts)
     check_law(scene, formulation, coordinates)
-    check_kinks(scene.kinks, stepsize_controller)
+    check_kinks(scene.kinks, parts["stepsize_controller"])
     if isinstance(solver, KeepingEnergy):
         check_keeps_energy("simulate.scene", scene)
     chosen = {
@@ -160,36 +243,30 @@ def simulate(
     }
     chosen |= {name: part is not None for name, part in parts.items()}
     looks = flag("simulate.second_contact", second_contact) and may_touch_twice(scene)
-    steps: dict[str, Any] = {"rtol": rtol, "atol": atol, "max_steps": max_steps}
     if modes is not None:
         _refuse("modes", chosen)
         looked_for = looks, events, stop
-        ready = ready_with_modes(
+        return ready_with_modes(
             *(scene, start, times, modes, solver, *looked_for), **steps
         )
-    else:
-        foreign = _of(chosen, _DIFFRAX_ALONE)
-        if method == "native":
-            _refuse("method", foreign)
-        start, times = _checked(scene, start, times, coordinates)
-        watched = events_of(events, stop, scene, times[0], start)
-        if watched:
-            _refuse("events", _of(chosen, _WITHOUT_EVENTS))
-        run = prepared(
-            *(_PROBLEMS[formulation], scene, times),
-            **(steps | parts),
-            solver=solver,
-            dt0=dt0,
-            allowed=is_apart if looks else None,
-            events=watched,
-        )
-        kind = formulation, coordinates, type(solver), looks
-        shown = functools.partial(_trajectory, watched, looks)
-        refusal = without_native(solver, foreign)
-        ready = ReadyCall(run, refusal, kind, watched, shown)
-    if key is not None and scene is given[0] and start is given[1]:
-        keep_call(scene, key, ready)
-    return ready(method, scene, start)
+    foreign = _of(chosen, _DIFFRAX_ALONE)
+    if method == "native":
+        _refuse("method", foreign)
+    start, times = _checked(scene, start, times, coordinates)
+    watched = events_of(events, stop, scene, times[0], start)
+    if watched:
+        _refuse("events", _of(chosen, _WITHOUT_EVENTS))
+    run = prepared(
+        *(_PROBLEMS[formulation], scene, times),
+        **(steps | parts),
+        solver=solver,
+        dt0=dt0,
+        allowed=is_apart if looks else None,
+        events=watched,
+    )
+    kind = formulation, coordinates, type(solver), looks
+    shown = functools.partial(_trajectory, watched, looks)
+    return ReadyCall(run, without_native(solver, foreign), kind, watched, shown)
 
 
 def _trajectory(

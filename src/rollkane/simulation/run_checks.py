@@ -117,7 +117,7 @@ def check_span(scene: Scene, times: Any) -> None:
         raise FieldError(
             "simulate.times",
             (least, most),
-            f"leave the record of Base.motion, which is known from {first:g} to "
-            f"{last:g} s",
-            "stay within it, or add samples (of zero, for a base that coasts on)",
+            f"must stay within the record of Base.motion, which is known from "
+            f"{first:g} to {last:g} s",
+            "end there, or add samples (of zero, for a base that coasts on)",
         )

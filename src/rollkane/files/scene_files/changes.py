@@ -2,7 +2,7 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
 from .positions import Path
@@ -21,6 +21,11 @@ def change(report: Report, changes: Mapping[str, str]) -> None:
         changes: Value by path (``"body.mass"``, ``"loads[0].acceleration"``,
             ``"start.angular_velocity[2]"``), as TOML writes it; a bare word is text.
     """
+    lost = undone(changes)
+    if lost is not None:
+        problem = f"{lost[0]} is given again by {lost[1]}, which would undo it"
+        report.add((), problem, "give each once, the whole before its entries")
+        return
     for path, text in changes.items():
         keys = _keys(path)
         if not keys:
@@ -32,6 +37,33 @@ def change(report: Report, changes: Mapping[str, str]) -> None:
             owner[keys[-1]] = _value(text)
 
 
+def undone(given: Iterable[str]) -> tuple[str, str] | None:
+    """The first of some paths that a later one puts a value over, and that later one.
+
+    An entry behind the whole of its list changes that; the whole behind an entry, or
+    the same path again, however it is spelled, leaves nothing of what was given first.
+
+    Args:
+        given: Paths, in the order in which their values are put.
+
+    Returns:
+        Both as they are spelled, or None where every value stays.
+    """
+    before: list[tuple[str, Path]] = []
+    for path in given:
+        keys = _keys(path)
+        for other, its in before:
+            if keys and its[: len(keys)] == keys:
+                return other, path
+        before.append((path, keys))
+    return None
+
+
+def same_field(path: str, keys: Path) -> bool:
+    """Whether a path, however it is spelled, is that of a field."""
+    return _keys(path) == keys
+
+
 def _keys(path: str) -> Path:
     keys: list[str | int] = []
     at = 0
@@ -41,7 +73,8 @@ def _keys(path: str) -> Path:
             return ()
         keys.append(int(part[2]) if part[2] else part[1])
         at = part.end()
-    return tuple(keys) if keys and isinstance(keys[0], str) else ()
+    is_path = keys and isinstance(keys[0], str) and not path.startswith(".")
+    return tuple(keys) if is_path else ()
 
 
 def _owner(report: Report, keys: Path) -> Any:

@@ -116,10 +116,16 @@ def _note(path: Path, error: Any, document: dict[str, Any], report: Report) -> N
         found = context["actual_length"]
         report.add(path, f"must have {wanted} entries, not {found}", remedy)
     elif kind == "literal_error":
-        choices = re.findall(r"'([^']*)'", context["expected"])
+        choices = re.findall(r"[^', ]+(?=')|-?\d+", context["expected"])
         remedy = suggestion(str(error["input"]), choices)
         noun = "kind" if path[-1] == "kind" else "name"
-        report.add(path, f"is not a known {noun}", remedy)
+        problem = f"is not a known {noun}"
+        if choices[0].lstrip("-").isdigit():
+            problem, remedy = (
+                "is none of its values",
+                f"use one of: {', '.join(choices)}",
+            )
+        report.add(path, problem, remedy)
     elif kind == "less_than_equal":
         report.add(path, f"must be {context['le']} or less", remedy)
     elif kind == "greater_than_equal":

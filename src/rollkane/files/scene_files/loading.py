@@ -21,6 +21,7 @@ from .tables import RunTable
 _TOO_DEEP = "is nested too deeply", "use fewer brackets"
 _TOO_MANY_DIGITS = "holds a whole number of too many digits", "write it as 1e300"
 _MANY_DIGITS = re.compile(r"[\d_]{1000,}")
+_OF_A_RUN = "rtol", "atol", "method", "second_contact"
 _AT = re.compile(r" \(at (?:line (\d+), column (\d+)|end of document)\)$")
 
 
@@ -91,6 +92,7 @@ def load_scene(
     check_document(document, report)
     # needs JAX, which the listing of scenes and the schema should not wait for
     from .event_building import events_of
+    from .run_checking import check_run_of
     from .scene_building import build
 
     made, events = build(report, parts), events_of(report)
@@ -98,16 +100,16 @@ def load_scene(
     assert made is not None  # whatever could not be made has been noted
     scene, start, modes = made
     run = RunTable.model_validate(document["run"])
+    times = np.linspace(0.0, run.duration, run.outputs)
+    how: dict[str, Any] = {name: getattr(run, name) for name in _OF_A_RUN}
+    how |= {"modes": modes, "events": events}
+    check_run_of(report, scene, start, times, how)
+    report.raise_if_any()
     return SceneFile(
         scene=scene,
         start=start,
-        modes=modes,
-        times=np.linspace(0.0, run.duration, run.outputs),
-        rtol=run.rtol,
-        atol=run.atol,
-        method=run.method,
-        second_contact=run.second_contact,
-        events=events,
+        times=times,
+        **how,
         title=document.get("title") or name,
         description=document.get("description", ""),
         axes=document.get("axes", ""),
