@@ -8,6 +8,8 @@ import pytest
 import xarray
 
 import rollkane as rk
+from rollkane.files.csv_table import axes_of, write_csv
+from rollkane.files.scene_files import load_scene
 
 GYRO = {"gyro": ("wx", "wy", "wz")}
 TIMES = np.array([0.0, 0.01, 0.03, 0.04, 0.06])
@@ -209,19 +211,41 @@ def test_columns_of_another_clock_are_refused(tmp_path):
         rk.Empirical.from_table(path, ("fast", "place_x"))
 
 
-def test_results_on_fixed_axes_are_no_gyro(tmp_path):
-    """They were read as if they were on body axes."""
+@pytest.mark.parametrize("form", ["run.nc", "run.csv", "frame"])
+def test_results_on_fixed_axes_are_no_gyro(tmp_path, form):
+    """They were read as if they were on body axes: of a table with our columns, too."""
     scene = rk.Scene(rk.Body(1.0, np.eye(3), rk.Sphere(0.1)))
     start = rk.place(scene, (1, 0, 0, 0), (1, 2, 3), (0, 0, 0))
-    path = tmp_path / "run.nc"
+    path = tmp_path / form
     run = rk.simulate(scene, start, TIMES)
-    run.to_xarray().to_netcdf(path, engine="h5netcdf")
+    if form == "run.nc":
+        run.to_xarray().to_netcdf(path, engine="h5netcdf")
+    else:
+        write_csv(run, path)
+    if form == "frame":
+        path = pandas.DataFrame(np.genfromtxt(path, delimiter=",", names=True))
     rates = tuple(f"angular_velocity_{x}" for x in "xyz")
     words = refusal(path, "time", gyro=rates)
     assert "'angular_velocity_x' on fixed axes, and gyro is on body axes" in words
     places = tuple(f"position_{x}" for x in "xyz")
     found = rk.read_record(path, "time", position=places).channels["position"]
     np.testing.assert_array_equal(found.values, run.position)
+
+
+def test_axes_of_every_column_that_a_run_writes(tmp_path):
+    """As the data set has them, of bodies that roll in the body, too."""
+    scene = load_scene("ball-in-rolling-shell")
+    run = rk.simulate(scene.scene, scene.start, scene.times[:2])
+    path = tmp_path / "run.csv"
+    write_csv(run, path)
+    names = path.read_text().partition("\n")[0].split(",")
+    found, data = axes_of(names), run.to_xarray()
+    for name, own in data.data_vars.items():
+        columns = [x for x in names if x == name or x.startswith(f"{name}_")]
+        columns = [x for x in columns if len(x) <= len(name) + 4]
+        assert columns
+        assert {found.get(x) for x in columns} == {own.attrs.get("axes")}
+    assert axes_of(["time", "angular_velocity_x"]) == {}  # of anybody's table
 
 
 @pytest.mark.parametrize(

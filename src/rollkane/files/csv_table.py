@@ -4,17 +4,22 @@ import csv
 import io
 import itertools
 import os
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ..simulation.trajectory import Trajectory
 from ..validation.checks import FieldError
 from .atomic_file import write_whole
-from .export import BASE_AXIS, COORDINATES, quantities
+from .export import ALWAYS, BASE_AXIS, COORDINATES, QUANTITIES, ROLLING, quantities
 
 _LABELS: dict[str, list[str]] = {
     name: labels for name, (_, labels) in (COORDINATES | BASE_AXIS).items()
 }
+# of bodies that roll in the body: their path, and a column of theirs
+_OF_ROLLING = re.compile(r"rolling(?:_\d+)+_(.+)")
 
 
 def write_csv(run: Trajectory, path: str | os.PathLike[str]) -> None:
@@ -50,6 +55,35 @@ def write_csv(run: Trajectory, path: str | os.PathLike[str]) -> None:
         zip(*(column.tolist() for column in columns.values()), strict=True)
     )
     write_whole(path, text.getvalue().encode())
+
+
+def axes_of(names: Sequence[str]) -> dict[str, str]:
+    """Axes of the columns of a table of :func:`write_csv`, which has none in it.
+
+    Args:
+        names: Of all columns of a table.
+
+    Returns:
+        Axes by column; nothing of a table that lacks a column which each run has.
+    """
+    known, rolling = _axes_by_column(QUANTITIES), _axes_by_column(ROLLING)
+    if not {"time", *_axes_by_column(ALWAYS)} <= set(names):
+        return {}
+    found: dict[str, str] = {}
+    for name in names:
+        inner = _OF_ROLLING.fullmatch(name)
+        axes = rolling.get(inner[1]) if inner else known.get(name)
+        if axes:
+            found[name] = axes
+    return found
+
+
+def _axes_by_column(described: Mapping[str, Any]) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, (dims, _, _, axes) in described.items():
+        for words in itertools.product(*(_LABELS[dim] for dim in dims)):
+            found["_".join([name, *words])] = axes
+    return found
 
 
 def _labels(dimension: str, count: int) -> list[str]:

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import xarray
 
 _AXIS = ("axis",)
-# name: (dimensions behind time, what it is, unit, axes)
-_VARIABLES = {
+# name: (dimensions behind time, what it is, unit, axes); those of every run
+ALWAYS = {
     "position": (_AXIS, "body origin", "m", "fixed"),
     "velocity": (_AXIS, "velocity of the body origin", "m/s", "fixed"),
     "orientation": (
@@ -68,7 +68,7 @@ _SUPPORTED = {
     "alpha": (("coordinate",), "coordinates of what is supported", "", ""),
     "alpha_dot": (("coordinate",), "their rates", "", ""),
 }
-_ROLLING = {
+ROLLING = {
     "position": (_AXIS, "its origin", "m", "fixed"),
     "orientation": (
         ("quaternion",),
@@ -86,7 +86,7 @@ _ROLLING = {
 _MANY = 10**6
 _MODES = "0 rolls, 1 slips, 2 flies, -1 not reached"
 _MODE = {"mode": ((), _MODES, "", "")}
-QUANTITIES = _VARIABLES | _MOVING | _WORK | _SLIDING
+QUANTITIES = ALWAYS | _MOVING | _WORK | _SLIDING
 COORDINATES: dict[str, Any] = {
     "axis": ("axis", ["x", "y", "z"]),
     "quaternion": ("quaternion", ["w", "x", "y", "z"]),
@@ -190,7 +190,7 @@ def quantities(
         scene: Its scene, which says what there is to be seen.
         front: Dimensions that its states have in front.
     """
-    described = dict(_VARIABLES)
+    described = dict(ALWAYS)
     moving, changes = scene.base.motion is not None, isinstance(scene, HybridScene)
     if moving:
         described |= _MOVING
@@ -205,8 +205,8 @@ def quantities(
     values = _values(motion, tuple(described))
     for path in paths_of_rolling(scene):
         place = "_".join(str(k) for k in path)
-        inner = _values(motion, tuple(_ROLLING), path)
-        for name, about in _ROLLING.items():
+        inner = _values(motion, tuple(ROLLING), path)
+        for name, about in ROLLING.items():
             described[f"rolling_{place}_{name}"] = about
             values[f"rolling_{place}_{name}"] = inner[name]
     return {

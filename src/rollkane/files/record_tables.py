@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ..validation.checks import FieldError
 from .accelerogram_lines import MANY_ALIKE, Lines
+from .csv_table import axes_of
 from .file_endings import NETCDF, ending
 
 READER = "read_record"
@@ -188,9 +189,10 @@ def _of_csv(path: str | os.PathLike[str]) -> Table:
 
 
 def _by_names(names: Sequence[str]) -> dict[str, About]:
-    """Units that columns have in brackets behind their names."""
+    """Units in brackets behind names of columns, and axes of those of a run's table."""
+    axes = {name: About(axes=own) for name, own in axes_of(names).items()}
     found = ((name, _NAMED_UNIT.match(name)) for name in names)
-    return {name: About(m[1] or m[2]) for name, m in found if m is not None}
+    return axes | {name: About(m[1] or m[2]) for name, m in found if m is not None}
 
 
 def end_of_name(name: str) -> str:
