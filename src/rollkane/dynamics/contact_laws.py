@@ -195,7 +195,7 @@ def _as_it_begins(
     # zero in a lane that follows its slip: it need not find a way, and 0 times NaN is
     # NaN in reverse mode
     found = lambda: jnp.where(friction.begins, first_way(balance, known), 0.0)
-    begun = lambda: -mu * settling_way(found(), slip)
+    begun = lambda: -mu * settling_way(found(), slip, friction.onset)
     follows = lambda: jnp.stack([x for x in force[-2:] if x is not None])
     along = cast(Array, jax.lax.cond(friction.begins, begun, follows))
     picked = [*force[:-2], *components(along)]

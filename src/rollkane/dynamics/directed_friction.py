@@ -22,8 +22,11 @@ from .precision import at_precision
 # [m/s]: below what a run at rtol 1e-12 resolves of slips of 1e-3 m/s and more
 SMALLEST_SLIP = 1e-9
 # [m/s]: until then a slip begins, and is turned back to its way as if of that size:
-# with mu N / m = 3 m/s^2 it settles in 3e-6 s, in steps of twice that
+# with mu N / m = 3 m/s^2 it settles in 3e-6 s, in steps of twice that. Of a scene
+# whose own speed is 1 m/s; see slip_onset
 ONSET = 1e-5
+# [m/s]: of any scene, a hundred times what the law is smooth by
+LEAST_ONSET = 100.0 * SMALLEST_SLIP
 # The search for that direction: at most so far at once [rad], until so near that one
 # step more is rounding (its error is squared), at most so often: half a turn and ten
 _FARTHEST, _CLOSE, _TURNS = 0.3, 1e-7, 40
@@ -56,10 +59,12 @@ class DirectedFriction(AbstractFriction):
         lifts: Whether the run ends the contact where it would pull.
         follows: Whether the slip is known not to begin: it has its direction.
         turns: Whether it is asked how fast it turns.
+        onset: Speed until which a slip only begins [m/s].
     """
 
     coefficient: Float[Array, ""]
     direction: Float[Array, "3"]
+    onset: Float[Array, ""]
     lifts: bool = eqx.field(static=True)
     follows: bool = eqx.field(static=True, default=False)
     turns: bool = eqx.field(static=True, default=True)
@@ -134,17 +139,19 @@ def first_way(balance: Balance, start: Float[Array, "2"]) -> Float[Array, "2"]:
     return jnp.where(found, s, jnp.nan)
 
 
-def settling_way(s: Float[Array, "2"], slip: Float[Array, "2"]) -> Array:
+def settling_way(
+    s: Float[Array, "2"], slip: Float[Array, "2"], onset: Float[Array, ""]
+) -> Array:
     """Way of the friction of a slip U that begins along s, which may itself turn [1].
 
     Friction turns a slip r s back onto s at a rate of sigma / r, so that it lags by
     ``r / sigma`` times the turn of s. One that is turned back at ``sigma / R``, from
-    ``U . s' / R`` across s, lags by as much: with R = ``ONSET`` slow enough for
+    ``U . s' / R`` across s, lags by as much: with R = ``onset`` slow enough for
     steps to follow, and as it will be followed from there on. Without, U would sum its
     rates along each s that there was.
     """
     across = jnp.stack([-s[1], s[0]])
-    lag = dot(slip, across) / at_precision(ONSET, slip)
+    lag = dot(slip, across) / onset
     return (s + lag * across) / jnp.sqrt(1.0 + lag * lag)
 
 

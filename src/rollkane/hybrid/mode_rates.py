@@ -16,6 +16,7 @@ from ..dynamics.rolling import (
     at_contact,
     rolling_derivative,
 )
+from ..dynamics.slip_onset import onset_of
 from ..geometry.small_linear import dot, safe_norm, sign
 from ..kinematics.coordinates import pack, unpack
 from .event_bounds import BESIDE, cubic, stays_positive
@@ -282,6 +283,11 @@ class ModeRates(eqx.Module):
         squared = held * held + needed
         size = jnp.sqrt(jnp.where(squared > 0.0, squared, 1.0))
         return (both - needed) / size
+
+    @property
+    def onset(self) -> Float[Array, ""]:
+        """Speed until which a slip only begins [m/s]."""
+        return onset_of(self.scenes.rolling)
 
     @property
     def friction_ends_slips(self) -> Bool[Array, ""] | bool:

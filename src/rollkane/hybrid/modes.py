@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from ..dynamics.directed_friction import DirectedFriction
 from ..dynamics.scene import Flying, Rolling, RubberRolling, Scene, Slipping, under
+from ..dynamics.slip_onset import onset_of
 from ..geometry.rotations import rotation_matrix
 from ..geometry.small_linear import matvec_transposed
 from ..kinematics.coordinates import FlyingState, SlidingState, State, shared_parts
@@ -278,7 +279,9 @@ def slipping(
     assert isinstance(scene.contact, Rolling)
     direction = jax.lax.stop_gradient(direction)
     own = matvec_transposed(rotation_matrix(state.orientation), direction)
-    friction = DirectedFriction(mu, own, scene.contact.one_sided, follows, turns)
+    friction = DirectedFriction(
+        mu, own, onset_of(scene), scene.contact.one_sided, follows, turns
+    )
     return under(scene, Slipping(friction))
 
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..dynamics.directed_friction import SMALLEST_SLIP, begins
 from ..dynamics.precision import at_precision
 from ..geometry.small_linear import dot
 from .mode_rates import Step
@@ -20,7 +20,11 @@ _ENDED_SLIP = 30.0 * SMALLEST_SLIP
 
 
 def longest_step(
-    at: Place, known: Float[Array, ""], t: Float[Array, ""], end: Step
+    at: Place,
+    known: Float[Array, ""],
+    t: Float[Array, ""],
+    end: Step,
+    onset: Float[Array, ""],
 ) -> Float[Array, ""]:
     """The longest step that a slip allows behind one [s]; else infinite.
 
@@ -29,21 +33,23 @@ def longest_step(
         known: How fast the slip was there, along its way [m/s].
         t: When that step ended [s].
         end: What it ended as.
+        onset: Speed until which a slip only begins [m/s].
     """
-    return jnp.minimum(_while_it_turns(at, end), _before_its_end(at, known, t, end))
+    before_its_end = _before_its_end(at, known, t, end)
+    return jnp.minimum(_while_it_turns(at, end, onset), before_its_end)
 
 
-def _while_it_turns(at: Place, end: Step) -> Float[Array, ""]:
+def _while_it_turns(at: Place, end: Step, onset: Float[Array, ""]) -> Float[Array, ""]:
     """The longest step in which a slip's direction settles, and does not swing.
 
     Friction turns it at a rate mu N / r, stiff where r is small. A straight slip does
     not show it; what differs from it, its tangents, would grow with each step. One
-    that begins settles as slowly as one of ``ONSET``.
+    that begins settles as slowly as one of the onset.
     """
     slip = jnp.sqrt(dot(end.y.slip, end.y.slip))
     slip = slip + at_precision(SMALLEST_SLIP, slip)
     turns = (at.mode == Mode.SLIPPING) & (end.turn > 0.0)
-    settling = jnp.maximum(slip, at_precision(ONSET, slip))
+    settling = jnp.maximum(slip, onset)
     slip = jnp.where(begins(at.direction), settling, slip)
     turn = jnp.where(turns, end.turn, 1.0)
     return jnp.where(turns, SETTLES * slip / turn, jnp.inf)
@@ -67,7 +73,9 @@ def _before_its_end(
     return jnp.where(ends, NEARER * until, jnp.inf)
 
 
-def is_as_it_began(at: Place, t: Float[Array, ""], end: Step) -> Bool[Array, ""]:
+def is_as_it_began(
+    at: Place, t: Float[Array, ""], end: Step, onset: Float[Array, ""]
+) -> Bool[Array, ""]:
     """Whether a slip that begins is not yet far too fast to be one.
 
     Nor too fast to be one still where the contact ends: its friction, whose direction
@@ -75,10 +83,9 @@ def is_as_it_began(at: Place, t: Float[Array, ""], end: Step) -> Bool[Array, ""]
     as those before it began.
     """
     squared, lifts = dot(end.y.slip, end.y.slip), end.values[1] < 0.0
-    onset = at_precision(ONSET, squared)
     fast = (squared > (2.0 * onset) ** 2) | (lifts & (squared > onset**2))
     # a quarter more is 2.5, to which methods of order 3 are stable
-    swings = t - at.t > 1.25 * _while_it_turns(at, end)
+    swings = t - at.t > 1.25 * _while_it_turns(at, end, onset)
     return (at.mode != Mode.SLIPPING) | ~begins(at.direction) | ~(fast | swings)
 
 

@@ -366,7 +366,8 @@ class Trials(eqx.Module):
         digits = 1.0 / at_precision(1e-6, tiny)
         step = jnp.where(event, jnp.maximum(step, digits * tiny), step)
         step = jnp.where(tried.lands, jnp.maximum(step, c.step), step)
-        settles = longest_step(c.place, c.values[0], tried.t, tried.end)
+        before = c.place, c.values[0], tried.t, tried.end
+        settles = longest_step(*before, self.motion.onset)
         return jnp.where(event, step, jnp.minimum(step, settles))
 
     def stands(self, c: Run, tried: Tried) -> Array:
@@ -376,7 +377,7 @@ class Trials(eqx.Module):
         """
         at, reach = c.place, self.reach
         scene = self.motion.scenes.rolling
-        stands = is_as_it_began(at, tried.t, tried.end)
+        stands = is_as_it_began(at, tried.t, tried.end, self.motion.onset)
         y = tried.end.y
         if watches_headings(scene):
             ends = headings(scene, at.t, at.y), headings(scene, tried.t, y)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from ..dynamics.consistency import spin_stopped
 from ..dynamics.contact_laws import impulse_response
-from ..dynamics.directed_friction import ONSET, SMALLEST_SLIP, begins
+from ..dynamics.directed_friction import SMALLEST_SLIP, begins
 from ..dynamics.gap import in_flight
 from ..dynamics.impacts import Rebound, impact
 from ..dynamics.mass_matrix import assemble
@@ -58,8 +58,8 @@ class Motion(ModeRates):
         stands across its old direction has its own, too: it would be found there again.
         """
         fast = dot(y.slip, y.slip)
-        onset, followed = (at_precision(bound, fast) for bound in (ONSET, FOLLOWED))
-        least = jnp.where(begins(direction), onset, jnp.asarray(followed, fast.dtype))
+        followed = at_precision(FOLLOWED, fast)
+        least = jnp.where(begins(direction), self.onset, followed)
         known = (mode == Mode.SLIPPING) & ((fast > least**2) | turned)
         return jnp.where(
             known, y.slip / jnp.sqrt(jnp.where(known, fast, 1.0)), direction
@@ -195,7 +195,7 @@ class Motion(ModeRates):
         ends: Bool[Array, ""],
     ) -> Bool[Array, ""]:
         """Whether a slip that began is fast enough to be followed, or ends before."""
-        fast = dot(y.slip, y.slip) > at_precision(ONSET, y.slip) ** 2
+        fast = dot(y.slip, y.slip) > self.onset**2
         return (mode == Mode.SLIPPING) & begins(direction) & (fast | ends)
 
     def straightened(
