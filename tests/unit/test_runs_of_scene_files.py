@@ -176,18 +176,6 @@ def test_changes_in_python_do_not_undo_each_other(tmp_path):
         load_scene(path, {".body.mass": "2.0"})
 
 
-def test_a_point_that_nothing_asks_for_is_refused(tmp_path):
-    """Of a body whose normal tells the point, a place next to it chooses nothing."""
-    near = BALL.replace("rotations = []", "rotations = []\nnear_on_body = [0, 0, 0.1]")
-    path = written(tmp_path, near)
-    with pytest.raises(SceneFileError, match=r"start\.near_on_body: chooses between"):
-        load_scene(path)
-    scene = load_scene(written(tmp_path, BALL)).scene
-    turn, still = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    with pytest.raises(rk.FieldError, match=r"place\.near_on_body: chooses between"):
-        rk.place(scene, turn, still, (0.0, 0.0, 0.5), near_on_body=(0.0, 0.0, 0.1))
-
-
 @pytest.mark.parametrize("value", ["2", "1.5", '"up"'])
 def test_the_directions_of_an_event_are_listed(tmp_path, value):
     event = f'[[events]]\nof = "spin"\ndirection = {value}\n'

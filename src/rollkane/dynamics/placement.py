@@ -67,8 +67,8 @@ def place(
             where the base is a sharp edge, which has a fan of them.
         near_on_body: Body axes [m], shape (3,). Where several points of the body have
             the needed normal (a cylinder, a ring, a body that is not convex), take the
-            one next to this; by default the outermost. Refused where the normal tells
-            the point.
+            one next to this; by default the outermost. Where the normal tells the
+            point it changes nothing.
         time: When the motion starts [s]; matters only where the base moves.
         velocity: Of the body origin, FIXED axes [m/s], shape (3,), in a scene whose
             contact slips; by default that of rolling. It must keep the body on the

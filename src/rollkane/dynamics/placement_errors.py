@@ -114,15 +114,6 @@ def refuse_needless(scene: Scene, given: dict[str, Any]) -> None:
             "follows from the contact point on this base",
             "leave it out: only a sharp edge has several normals at a point",
         )
-    near = given["near_on_body"]
-    if near is not None and not scene.has_contact_coordinates:
-        raise FieldError(
-            "place.near_on_body",
-            near,
-            "chooses between points with one normal, and here the normal tells the "
-            "point of the body",
-            "leave it out; orientation and contact_on_base say where it touches",
-        )
 
 
 def refuse_bad(placed: Placed, asked: dict[str, Any], given: dict[str, Any]) -> None:
