@@ -176,6 +176,22 @@ def test_changes_in_python_do_not_undo_each_other(tmp_path):
         load_scene(path, {".body.mass": "2.0"})
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "lacks"),
+    [
+        ("body", "{}", "body.mass"),
+        ("run", "{}", "run.duration"),
+        ("body.surface", '{ kind = "sphere" }', "body.surface.radius"),
+    ],
+)
+def test_a_table_in_the_place_of_the_file_s_may_lack_fields(
+    tmp_path, path, value, lacks
+):
+    """Was: a KeyError for what stood in the file."""
+    with pytest.raises(SceneFileError, match=f"{lacks}: is missing"):
+        load_scene(written(tmp_path, BALL), {path: value})
+
+
 @pytest.mark.parametrize("value", ["2", "1.5", '"up"'])
 def test_the_directions_of_an_event_are_listed(tmp_path, value):
     event = f'[[events]]\nof = "spin"\ndirection = {value}\n'

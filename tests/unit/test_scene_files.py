@@ -362,6 +362,10 @@ BAD_FIELDS = {
         ("rtol = 1e-8", "rtol = 10.0"),
         ("run.rtol", "rtol = 10.0", "is above 0.1: it leaves no digit", "10.0", "1e-9"),
     ),
+    "base in two brackets": (  # was: an AttributeError
+        ("[base]", "[[base]]"),
+        ("base", "[[base]]", "must be a table", "surface", "a table [base]"),
+    ),
     "second contact": (
         ("rtol = 1e-8", 'rtol = 1e-8\nsecond_contact = "yes"'),
         (

@@ -182,6 +182,15 @@ WRONG = {
         ("times = [0.0, 0.1]", "times = [0.1, 0.1]"),
         ("times: must be finite and strictly increasing",),
     ),
+    "title": (('title = "Does it turn back?"', "title = 3"), ("title: must be text",)),
+    "level": (
+        ("level = 0.0", "level = inf"),
+        ("events[0].level: must be finite",),
+    ),
+    "level of 400 digits": (
+        ("level = 0.0", f"level = {10**400}"),
+        ("events[0].level: must be finite",),
+    ),
     "times of truth": (
         ("times = [0.0, 0.1]", "times = [0, true]"),
         ("times: must be made of real numbers",),

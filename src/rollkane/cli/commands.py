@@ -113,7 +113,7 @@ def work_precision(
 
     Every option that names a choice may be given several times; left out, solvers
     Tsit5, Dopri5 and Dopri8 run at tolerances from 1e-3 to 1e-12, natively and by
-    diffrax.
+    diffrax. SCENE's events, second_contact and tolerances are not used.
     """
     asked = {"json": json_file, "plot": plot}
     targets = {name: Path(file) for name, file in asked.items() if file is not None}

@@ -74,6 +74,8 @@ class _Checked:
     def __init__(self, report: Report, folder: Path):
         self._report, self._document = report, cast("dict[str, Any]", report.document)
         self._unknown((), self._document, _KEYS)
+        if not isinstance(self._document.get("title", ""), str):
+            report.add(("title",), "must be text", "give a line of text")
         self.file = self._scene(folder)
         self.varied = self._vary()
         self.observe, self.series = self._named("observe"), self._named("series")

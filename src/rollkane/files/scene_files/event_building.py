@@ -1,5 +1,6 @@
 """From tables of events to events: of a scene's file, and of a study's."""
 
+import sys
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -91,6 +92,8 @@ def _check(where: Path, given: dict[str, Any], report: Report) -> None:
         report.add((*where, "of"), "is no number to look for", remedy)
     if isinstance(level, bool) or not isinstance(level, (int, float)):
         report.add((*where, "level"), "must be a number", "give the value crossed")
+    elif not abs(level) <= sys.float_info.max:  # of whole numbers of any length, too
+        report.add((*where, "level"), "must be finite", "give the value crossed")
     if of == LIFT_OFF and {"level", "direction"} & set(given):
         problem = "is where the normal force falls through zero: it has no level"
         remedy = 'leave out level and direction, or write of = "normal_force"'

@@ -29,7 +29,7 @@ from .formulas import (
     parse,
 )
 from .moving_tables import MOTIONS, SUPPORTED, FunctionsTable, RecordTable, SpinTable
-from .positions import Given, Path
+from .positions import Given, Path, given_at
 from .problems import Report
 
 _MOTION: Path = ("base", "motion")
@@ -77,7 +77,7 @@ def checked_formulas(
 
 def motion_of(report: Report) -> AbstractBaseMotion | None:
     """The base's motion; None for none, or where something was wrong with it."""
-    table: Given = report.document.get("base", {}).get("motion")
+    table: Given = given_at(report.document, _MOTION)
     if not isinstance(table, dict):
         return None
     kind = likely_kind(table, MOTIONS)

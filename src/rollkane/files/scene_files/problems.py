@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from .positions import Path, Place, line_and_column
+from .positions import Path, Place, given_at, line_and_column
 
 _WIDEST = 500  # characters that are shown of a line, or of a name
 _MOST_PROBLEMS = 100  # that are noted of a file
@@ -100,7 +100,7 @@ class Report:
             at_key: Point at the key instead of the value, and show no value.
             shift: Point at this character of a string value; at its start if None.
         """
-        place = self.places.get(path)
+        place = self.places.get(path) if self._holds(path) else None
         shown = None
         if place is None:
             offset = self._around(path)
@@ -123,6 +123,10 @@ class Report:
         for step in path:
             found = found[step]
         return found
+
+    def _holds(self, path: Path) -> bool:
+        """Whether a field is there: another table may be in the place of the file's."""
+        return not path or given_at(self.document, path) is not None  # TOML has no null
 
     def has_below(self, path: Path) -> bool:
         """Whether a problem was noted for a field or anything in it."""
