@@ -163,6 +163,36 @@ def test_what_is_given_twice_is_refused(tmp_path, command, options, says):
     assert says in " ".join(done.output.split())
 
 
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ('[modes]\n[[events]]\nof = "spin"\nname = "switch"\n', "switch_time"),
+        (
+            '[[events]]\nof = "spin"\nname = "a/b"\n'
+            '[[events]]\nof = "tilt"\nname = "a_b"\n',
+            "a_b_time",
+        ),
+    ],
+)
+def test_events_that_no_data_set_tells_apart_are_refused_at_once(
+    tmp_path, monkeypatch, more, says
+):
+    """They were after the run, whose table was lost. A table of CSV has no events."""
+
+    def never(*_):
+        raise AssertionError("was run")
+
+    path, out = str(written(tmp_path, BALL + more)), tmp_path / "run.nc"
+    with monkeypatch.context() as patched:
+        patched.setattr(ReadyCall, "__call__", never)
+        done = rollkane_with("simulate", path, "--out", str(out))
+    assert done.exit_code == 2
+    assert f'would be another "{says}"' in " ".join(done.output.split())
+    assert not out.exists()
+    table = str(tmp_path / "run.csv")
+    assert rollkane_with("simulate", path, "-q", "--out", table).exit_code == 0
+
+
 def test_changes_in_python_do_not_undo_each_other(tmp_path):
     path = written(tmp_path, BALL)
     whole = {"start.angular_velocity": "[1.0, 2.0, 3.0]"}

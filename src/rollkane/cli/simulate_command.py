@@ -139,6 +139,7 @@ def simulate(
     check_targets(targets, scene, force=force)
     start_jax()
     file = loaded(ctx, scene, with_run(changes, options))
+    _refuse_untold(file, targets.get("out"))
     times = file.times
     how = how_to_run(file, **options) | watched(file, stop)
     result, timing, interrupted = _run(file, times, how, quiet or as_json)
@@ -162,6 +163,21 @@ def simulate(
         ctx.exit(INTERRUPTED if interrupted else STOPPED_EARLY)
     if len(written) < len(targets):
         ctx.exit(FAILED)
+
+
+def _refuse_untold(file: Any, out: Path | None) -> None:
+    """Refuse events that a data set could not tell apart, before the run."""
+    from ..files.export_events import refuse_names
+    from ..files.file_endings import TABLES, ending
+    from ..validation.checks import FieldError
+
+    if out is None or ending(out) in TABLES:  # which have no events
+        return
+    taken = () if file.modes is None else ("switch_time",)
+    try:
+        refuse_names([event.name for event in file.events], taken)
+    except FieldError as refused:
+        raise click.UsageError(f"--out {out}: {refused}") from refused
 
 
 def how_to_run(

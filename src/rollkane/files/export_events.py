@@ -1,6 +1,6 @@
 """Events of runs as variables of labelled data sets."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,25 @@ Variable = tuple[tuple[str, ...], np.ndarray, dict[str, str]]
 def variable_of(name: str) -> str:
     """A name as variables have it: without the slash, which NetCDF keeps for groups."""
     return name.replace("/", "_")
+
+
+def refuse_names(events: Iterable[str], taken: Collection[str]) -> None:
+    """Refuse names of events that would be another variable's, or one another's.
+
+    Args:
+        events: Their names.
+        taken: Names that the data set has otherwise.
+
+    Raises:
+        FieldError: one is.
+    """
+    there = {*taken}
+    for event in events:
+        for own in (f"{variable_of(event)}_{what}" for what in ("time", "count")):
+            if own in there:
+                problem = f'would be another "{own}" in a data set'
+                raise FieldError("Event.name", event, problem, "give another name")
+            there.add(own)
 
 
 def event_variables(
@@ -30,6 +49,7 @@ def event_variables(
         FieldError: an event has a name such as "final", whose ``final_time`` is there
             already.
     """
+    refuse_names(events, taken)
     found: dict[str, Variable] = {}
     for event, crossings in events.items():
         name = variable_of(event)
@@ -40,9 +60,5 @@ def event_variables(
             f"{name}_time": ((*front, f"{name}_crossing"), times, when),
             f"{name}_count": (front, count, often),
         }
-        for there in own:
-            if there in taken or there in found:
-                problem = f'would be another "{there}" in a data set'
-                raise FieldError("Event.name", event, problem, "give another name")
         found |= own
     return found
