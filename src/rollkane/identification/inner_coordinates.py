@@ -6,7 +6,7 @@ between two does so from both. Densities have the slope as a factor, so that fla
 of the numbers stay flat in the numbers.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +106,8 @@ class InnerCoordinates(NamedTuple):
         reach = _OUTSIDE * deviation
         near = np.clip(z, self.lower - reach, self.upper + reach)
         ends = ((x - near) / deviation for x in (self.lower, self.upper))
-        mean, variance = stats.truncnorm.stats(*ends, moments="mv")
+        of_cut = cast(Any, stats).truncnorm.stats
+        mean, variance = cast("tuple[Any, Any]", of_cut(*ends, moments="mv"))
         middle = np.where(has_end, near + deviation * mean, z)
         y = np.where(has_end, self.inverse(middle), z)
         slope = np.asarray(jax.jvp(self.numbers, (y,), (np.ones_like(y),))[1])

@@ -81,7 +81,8 @@ def posterior(
     starts = _starts(fit, inner, middle, root, chains, np.random.default_rng(seed))
     potential = _potential(fit.problem, inner, middle, root)
     samples, diverged = _sampled(potential, starts, each, warmup, seed)
-    found = np.asarray(jax.vmap(inner.numbers)(middle + samples @ root.T))
+    y = jnp.asarray(middle + samples @ root.T)
+    found = np.asarray(jax.vmap(inner.numbers)(y))
     # draws in front, before the records of those that have their own
     each_draw = [layout.by_path(lambda e, x=x: e.at(x).value) for x in found]
     values = {p: np.stack([one[p] for one in each_draw]) for p in each_draw[0]}
@@ -145,12 +146,12 @@ def _potential(
 
     def with_slope(u: Float[Array, " P"]) -> tuple[Array, Array]:
         y = centre + whitened @ u
-        at, pulled = jax.vjp(inner.numbers, y)
+        at, pulled = cast("tuple[Array, Any]", jax.vjp(inner.numbers, y))
         residual, jacobian = evaluate(at)
         more, uphill = volume(at)
         bent, uphill_bent = inner_volume(y)
         value = 0.5 * jnp.sum(residual**2) - more - bent
-        (slope,) = pulled(jacobian.T @ residual - uphill)
+        slope = cast(Array, pulled(jacobian.T @ residual - uphill)[0])
         return value, whitened.T @ (slope - uphill_bent)
 
     @jax.custom_vjp
