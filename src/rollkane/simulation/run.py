@@ -186,7 +186,7 @@ def check_run(
     """
     check_scene("simulate", scene, start)
     scene, start = in_one_precision(scene, start)
-    parts = dict.fromkeys((*_DIFFRAX_ALONE,))
+    parts: dict[str, Any] = dict.fromkeys((*_DIFFRAX_ALONE,))
     _ready(
         *(scene, start, times, modes, parts, second_contact, events, None),
         *("rolling", "pole-free", method, None, None),
@@ -206,7 +206,7 @@ def _ready(
     formulation: str,
     coordinates: str,
     method: str,
-    solver: Any,
+    solver: dfx.AbstractSolver[Any] | None,
     dt0: Any,
     *,
     steps: dict[str, Any],
