@@ -268,8 +268,9 @@ def _ended_by(file: Any, states: Sequence[Any]) -> dict[str, int]:
         at = file.scene, jnp.zeros(()), state
         return normal_force(*at), friction_ratio(*at)
 
-    found = jax.jit(seen)
-    force, ratio = np.array([found(state) for state in states]).T
+    found: Any = jax.jit(seen)
+    pairs: list[Any] = [found(state) for state in states]
+    force, ratio = np.array(pairs).T
     pulls = force < 0.0
     sticking = file.modes.sticking
     slips = ~pulls & (ratio > (np.inf if sticking is None else float(sticking)))
