@@ -146,7 +146,7 @@ def simulate(
         return ready(method, scene, start)
     given = scene, start
     scene, start = in_one_precision(scene, start)
-    ready = _ready(
+    ready, start = _ready(
         *(scene, start, times, modes, parts, second_contact, events, stop),
         *(formulation, coordinates, method, solver, dt0),
         steps={"rtol": rtol, "atol": atol, "max_steps": max_steps},
@@ -210,8 +210,8 @@ def _ready(
     dt0: Any,
     *,
     steps: dict[str, Any],
-) -> ReadyCall:
-    """A checked call, see :func:`simulate`.
+) -> tuple[ReadyCall, AnyState]:
+    """A checked call, see :func:`simulate`, and its start in the asked coordinates.
 
     Args:
         scene: In one precision.
@@ -246,9 +246,8 @@ def _ready(
     if modes is not None:
         _refuse("modes", chosen)
         looked_for = looks, events, stop
-        return ready_with_modes(
-            *(scene, start, times, modes, solver, *looked_for), **steps
-        )
+        given = scene, start, times, modes, solver, *looked_for
+        return ready_with_modes(*given, **steps), start
     foreign = _of(chosen, _DIFFRAX_ALONE)
     if method == "native":
         _refuse("method", foreign)
@@ -266,7 +265,8 @@ def _ready(
     )
     kind = formulation, coordinates, type(solver), looks
     shown = functools.partial(_trajectory, watched, looks)
-    return ReadyCall(run, without_native(solver, foreign), kind, watched, shown)
+    ready = ReadyCall(run, without_native(solver, foreign), kind, watched, shown)
+    return ready, start
 
 
 def _trajectory(
