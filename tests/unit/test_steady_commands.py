@@ -64,6 +64,10 @@ def test_a_family_is_told_drawn_and_written(tmp_path):
         ),
         (("family", "rolling-disc", "--vary", "spin"), "is not NAME=LOW:HIGH"),
         (("family", "rolling-disc", "--vary", "body.mas=1:2"), "can be varied"),
+        (
+            ("family", "rolling-disc", "--vary", "start.spin=1:20", "--hold=spin=30"),
+            "holds spin at 30, which --vary takes from 1 to 20",
+        ),
     ],
 )
 def test_bad_input_is_refused(arguments, said):

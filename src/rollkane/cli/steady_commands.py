@@ -201,8 +201,12 @@ def _on_branch(
 
     low, high = min(span), max(span)
     varied = name.partition(".")[2] if name.startswith(("hold.", "start.")) else None
-    if varied is not None and varied not in held:
+    if varied is not None:
         held = {varied: None} | held
+        value = held[varied]
+        if value is not None and not low <= value <= high:
+            told = f"holds {varied} at {value:g}, which --vary takes from {low:g} to"
+            refuse("--hold", f"{told} {high:g}: leave it out, or begin inside")
     motion = steady_motion(file.scene, file.start, held)
     if varied is not None and not low <= motion.held[varied] <= high:
         value = min(max(motion.held[varied], low), high)
