@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..codegen.tracing import traced_once
+from ..geometry.small_linear import dot
 from .directed_friction import LEAST_ONSET, ONSET
 from .mass_matrix import field_of
 from .precision import at_precision
@@ -26,13 +28,18 @@ def onset_of(scene: Scene) -> Float[Array, ""]:
     Source: docs/theory.md, (8.5).
     """
     body, field = scene.body, field_of(scene.loads)
-    least = at_precision(LEAST_ONSET, body.mass)
-    onset = jnp.full_like(body.mass, at_precision(ONSET, body.mass))
     if field is None:
-        return onset
-    trace = body.inertia[0, 0] + body.inertia[1, 1] + body.inertia[2, 2]
-    squared = field[0] * field[0] + field[1] * field[1] + field[2] * field[2]
-    fourth = squared * trace / body.mass  # power of the speed
+        return jnp.full_like(body.mass, at_precision(ONSET, body.mass))
+    return _onset_in(field, body.inertia, body.mass)
+
+
+@traced_once
+def _onset_in(
+    field: Float[Array, "3"], inertia: Float[Array, "3 3"], mass: Float[Array, ""]
+) -> Float[Array, ""]:
+    least, onset = (at_precision(x, mass) for x in (LEAST_ONSET, ONSET))
+    trace = inertia[0, 0] + inertia[1, 1] + inertia[2, 2]
+    fourth = dot(field, field) * trace / mass  # power of the speed
     known = fourth > 0.0
     speed = jnp.sqrt(jnp.sqrt(jnp.where(known, fourth, 1.0)))
     share = jnp.minimum(speed, jnp.maximum(1.0, _LARGE * speed))
