@@ -147,9 +147,18 @@ def simulate(
     given = scene, start
     scene, start = in_one_precision(scene, start)
     ready, start = _ready(
-        *(scene, start, times, modes, parts, second_contact, events, stop),
-        *(formulation, coordinates, method, solver, dt0),
+        *(scene, start, times),
+        modes=modes,
+        method=method,
+        second_contact=second_contact,
+        events=events,
         steps={"rtol": rtol, "atol": atol, "max_steps": max_steps},
+        parts=parts,
+        stop=stop,
+        formulation=formulation,
+        coordinates=coordinates,
+        solver=solver,
+        dt0=dt0,
     )
     if key is not None and scene is given[0] and start is given[1]:
         keep_call(scene, key, ready)
@@ -186,11 +195,14 @@ def check_run(
     """
     check_scene("simulate", scene, start)
     scene, start = in_one_precision(scene, start)
-    parts: dict[str, Any] = dict.fromkeys((*_DIFFRAX_ALONE,))
     _ready(
-        *(scene, start, times, modes, parts, second_contact, events, None),
-        *("rolling", "pole-free", method, None, None),
+        *(scene, start, times),
+        modes=modes,
+        method=method,
+        second_contact=second_contact,
+        events=events,
         steps={"rtol": rtol, "atol": atol, "max_steps": None},
+        parts=cast("dict[str, Any]", dict.fromkeys(_DIFFRAX_ALONE)),
     )
 
 
@@ -198,36 +210,23 @@ def _ready(
     scene: Scene,
     start: AnyState,
     times: Any,
+    *,
     modes: Modes | None,
-    parts: dict[str, Any],
+    method: str,
     second_contact: Any,
     events: Any,
-    stop: Any,
-    formulation: str,
-    coordinates: str,
-    method: str,
-    solver: dfx.AbstractSolver[Any] | None,
-    dt0: Any,
-    *,
     steps: dict[str, Any],
+    parts: dict[str, Any],
+    stop: Any = None,
+    formulation: str = "rolling",
+    coordinates: str = "pole-free",
+    solver: dfx.AbstractSolver[Any] | None = None,
+    dt0: Any = None,
 ) -> tuple[ReadyCall, AnyState]:
     """A checked call, see :func:`simulate`, and its start in the asked coordinates.
 
-    Args:
-        scene: In one precision.
-        start: In the same.
-        times: Output times [s].
-        modes: How the contact may change.
-        parts: Those of diffrax that only its own loop has.
-        second_contact: Whether the run ends at one.
-        events: What is looked for.
-        stop: What ends the run.
-        formulation: Which equations.
-        coordinates: Which coordinates.
-        method: Which loop.
-        solver: diffrax solver, or None.
-        dt0: First step [s], or None.
-        steps: Tolerances and the most steps, by name.
+    Scene and start are in one precision. ``steps``: tolerances and the most steps, by
+    name; ``parts``: those of diffrax that only its own loop has.
     """
     _check_names(formulation, coordinates)
     check_method(method)
